@@ -1,10 +1,10 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""An action, whoever carries its goals out: each goal gets one end, and its client hears it.
+"""An action server, whatever carries its goals out: each goal ends once, and its client gets the result.
 
-A goal is a coroutine in the executor's thread. The end of the program: rclpy's `Executor.shutdown` frees what a
-spinning executor still uses, so the executor's thread leaves `spin` by itself first, and not before every client that
-was given a goal has been given its result.
+A goal is a coroutine in the executor's thread. At shutdown rclpy's `Executor.shutdown` frees what a spinning executor
+still uses. So the executor's thread first leaves `spin` by itself, but not before every client of an accepted goal has
+been given its result.
 """
 
 import math
@@ -34,11 +34,12 @@ from rosfront.verdict import Status, Verdict
 RESULT_KEPT_S = 60
 """How long a result can be asked for; clients ask at once, and rclpy keeps a goal as long as its result."""
 RESULT_GRACE_S = 1.0
-"""At the end of this process a result that nobody has asked for yet is kept for so long."""
+"""At shutdown a result that its client has not asked for yet is kept for so long."""
 LEAVE_EVERY_S = 0.02
 ANSWER_TRIES = 30
-"""A client can know the server before the server knows where it hears answers, by a heartbeat of discovery or more. A
-try waits a tenth of a second for that in rmw_fastrtps, so these are three seconds; meanwhile others are served."""
+"""A client can discover the server before the server discovers where to send answers to that client, by a heartbeat of
+discovery or more. In rmw_fastrtps each try waits a tenth of a second for that, so these are three seconds. Other
+clients are served between two tries."""
 LOCKED = (
     "This ROS installation does not let goals be taken as bytes ({}): while a goal of many points is received, nothing "
     "else of this process moves, and one of some 100,000 points may end the goal that runs. Send goals of fewer "
@@ -55,7 +56,7 @@ def _next_turn() -> Generator[None, None, None]:
 
 @coroutine
 def _rest_of(begun: Coroutine[Any, Any, None]) -> Generator[Any, Any, None]:
-    """What is left of a coroutine that waits for something; `await` takes none that somebody else has begun."""
+    """Run the rest of a coroutine that has begun and waits for something, which `await` does not accept."""
     waiting = True
     while waiting:
         yield
@@ -63,7 +64,7 @@ def _rest_of(begun: Coroutine[Any, Any, None]) -> Generator[Any, Any, None]:
 
 
 def _goes_on(begun: Coroutine[Any, Any, None]) -> bool:
-    """Let a coroutine run until it waits; whether it does."""
+    """Run a coroutine until it waits; returns whether it waits, and did not end."""
     try:
         begun.send(None)
     except StopIteration:
@@ -72,9 +73,9 @@ def _goes_on(begun: Coroutine[Any, Any, None]) -> bool:
 
 
 class _TellingServer(ActionServer):
-    """An action server that also says whose result has been sent, and in which nothing waits for a considered goal.
+    """An action server that also reports each result it has sent, and in which nothing waits for a considered goal.
 
-    Who asks for the result of a goal that it does not have gets `of_unknown` with the status UNKNOWN.
+    A request for the result of a goal that it does not have is answered by `of_unknown` with the status UNKNOWN.
     """
 
     def __init__(
@@ -94,11 +95,11 @@ class _TellingServer(ActionServer):
 
     @property
     def idle(self) -> bool:
-        """Whether no goal is on its way here from the middleware, or waits for its client to be told of it."""
+        """Whether no goal is on its way here from the middleware, or waits until its acceptance has been sent."""
         return not self._answering
 
     def stop(self) -> None:
-        """Take no goal any more."""
+        """Take no further goal."""
         self._leaving = True
 
     def is_ready(self, wait_set: Any) -> bool:
@@ -119,9 +120,9 @@ class _TellingServer(ActionServer):
         )
 
     async def execute(self, taken_data: dict[str, Any]) -> None:
-        """rclpy's own awaits a goal's consideration before the cancel that was taken with it.
+        """Handle a cancel without awaiting the consideration of a goal that was taken with it, unlike rclpy.
 
-        A goal that need not be considered is still accepted first, so that a cancel of all goals means it too.
+        A goal that need not be considered is still accepted first, so that a cancel of all goals includes it.
         """
         others = {kind: taken for kind, taken in taken_data.items() if kind != "goal"}
         goal = super().execute({kind: taken for kind, taken in taken_data.items() if kind == "goal"})
@@ -136,9 +137,9 @@ class _TellingServer(ActionServer):
         await self._take_in(bytes(request.goal_id.uuid), request.goal, answer)
 
     async def _take_in(self, goal_id: bytes, goal: Any, answer: Callable[[Any], object]) -> None:
-        """Accept or reject a goal and tell its client so; rclpy's own answers once, and forgets who does not hear it.
+        """Accept or reject a goal and answer its client, with retries; rclpy answers once, received or not.
 
-        `goal` is what `goal_callback` is given; `answer` raises RuntimeError when the client cannot be reached.
+        `goal` is passed to `goal_callback`; `answer` raises RuntimeError when the client cannot be reached.
         """
         info = GoalInfo()
         info.goal_id.uuid = np.frombuffer(goal_id, np.uint8)
@@ -176,7 +177,7 @@ class _TellingServer(ActionServer):
         self._handle_accepted_callback(handle)
 
     async def _answer(self, answer: Callable[[Any], object], response: Any) -> None:
-        """Answer until the client is reached, `ANSWER_TRIES` times at the most; raises RuntimeError then."""
+        """Answer until the client is reached; raises RuntimeError when it was not in `ANSWER_TRIES` tries."""
         self._answering += 1
         try:
             for tries_left in reversed(range(ANSWER_TRIES)):
@@ -196,7 +197,7 @@ class _TellingServer(ActionServer):
         return False
 
     def _never_begun(self, why: str) -> Any:
-        """The answer to who asks for the result of a goal whose acceptance could not be sent."""
+        """The answer to a request for the result of a goal whose acceptance could not be sent."""
         result = self._action_type.Result()
         if isinstance(result, FollowJointTrajectory.Result):
             result.error_code, result.error_string = INVALID_GOAL, NOT_TOLD.format(why)
@@ -211,7 +212,7 @@ class _TellingServer(ActionServer):
             unknown.result = self._of_unknown
             try:
                 self._handle.send_result_response(header, unknown)
-            except RuntimeError as problem:  # who asked is not known to the middleware yet, or no more
+            except RuntimeError as problem:  # the client is not known to the middleware yet, or no more
                 self._logger.warning(f"Who asked for the result of an unknown goal was not answered: {problem}.")
 
     def _send_result_response(self, request_header: Any, future: Future) -> None:
@@ -222,9 +223,9 @@ class _TellingServer(ActionServer):
 
 
 class _UnlockedServer(_TellingServer):
-    """A server of follow_joint_trajectory whose goals are taken as bytes, beside the executor's thread.
+    """A server of follow_joint_trajectory that takes goals as bytes, outside the executor's thread.
 
-    A goal's request is then a GoalRequest.
+    The request of each goal is then a GoalRequest.
     """
 
     def __init__(
@@ -235,7 +236,7 @@ class _UnlockedServer(_TellingServer):
         *arguments: Any,
         **options: Any,
     ) -> None:
-        """`arrival` is that of what comes now."""
+        """`arrival` returns the arrival of what comes now."""
         super().__init__(executor, *arguments, **options)
         self._arrival = arrival
         self._all_canceled = -1
@@ -260,7 +261,7 @@ class _UnlockedServer(_TellingServer):
 
     def take_data(self) -> dict[str, Any]:
         goal = {"goal": self._requests.pop()} if self._is_goal_request_ready else {}
-        self._is_goal_request_ready = False  # rclpy is not to take it
+        self._is_goal_request_ready = False  # so that rclpy does not take it
         others: dict[str, Any] = super().take_data()
         return goal | others
 
@@ -272,7 +273,7 @@ class _UnlockedServer(_TellingServer):
 
     async def _execute_cancel_request(self, taken: tuple[Any, Any]) -> None:
         if _is_of_all(taken[1].goal_info):
-            self._all_canceled = self._arrival().turn  # goals that are still being taken or considered, too
+            self._all_canceled = self._arrival().turn  # includes goals that are still being taken or considered
         await super()._execute_cancel_request(taken)
 
     async def _execute_goal(self, execute_callback: Any, goal_handle: ServerGoalHandle) -> None:
@@ -286,14 +287,14 @@ def _is_of_all(canceled: GoalInfo) -> bool:
 
 
 def trajectory_result(_: ServerGoalHandle, verdict: Verdict) -> Any:
-    """What follow_joint_trajectory says at the end of a goal."""
+    """The result of follow_joint_trajectory for a verdict."""
     return FollowJointTrajectory.Result(error_code=verdict.code, error_string=verdict.sentence)
 
 
 class GoalServer:
-    """The action server and the executor's thread around it.
+    """The action server and the executor's thread that serves it.
 
-    A node's further actions have servers of their own and leave the thread to that of the first.
+    Each further action of a node has a GoalServer of its own; only the first one's `spin` runs the executor.
 
     Attributes:
         closing: no goal is begun any more, and `spin` returns as soon as it can; set by the owner or by `leave`.
@@ -317,14 +318,14 @@ class GoalServer:
         of_unknown: Any = None,
         arrival: Callable[[], Arrival] | None = None,
     ) -> None:
-        """`run` carries a goal out and returns how it ended; `cancel` hears that a client no longer wants one.
+        """`run` carries a goal out and returns how it ended; `cancel` is called when a client cancels a goal.
 
-        `accepted` hears of a goal at once, before it is run and before anything else is served. `consider` may reject a
-        goal before it is one, without a reason. `idle` says whether nothing else of the node keeps the executor's
-        thread. `kind` is the action's type, and `result` makes its result; `counts` are those of another server that
-        counts these goals too. `of_unknown` is the result of goals that this server does not have, None an empty one.
-        With `arrival`, which says when something has arrived that arrives now, goals are taken as bytes (GoalRequest);
-        the action must then be follow_joint_trajectory.
+        `accepted` is called with a goal at once, before it is run and before anything else is served. `consider` may
+        reject a goal before it is accepted, without a reason for the client. `idle` returns whether nothing else of the
+        node keeps the executor's thread. `kind` is the action's type, and `result` makes its result. `counts` are those
+        of another server, in which these goals are counted too. `of_unknown` is the result for goals that this server
+        does not have, None an empty one. `arrival` returns the arrival of what comes now. If it is given, goals are
+        taken as bytes (GoalRequest), and the action must be follow_joint_trajectory.
         """
         self.closing = False
         self.counts = Counts() if counts is None else counts
@@ -337,7 +338,7 @@ class GoalServer:
         self._considering = 0
         self._idle = idle
         self._result = result
-        self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts
+        self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts (s)
         self._has_spun = threading.Event()
         self._spins_until_s = math.inf
         make: Callable[..., _TellingServer] = _TellingServer
@@ -353,7 +354,7 @@ class GoalServer:
             node,
             kind,
             name,
-            callback_group=ReentrantCallbackGroup(),  # a goal being considered holds up no cancel
+            callback_group=ReentrantCallbackGroup(),  # a goal being considered delays no cancel
             execute_callback=self._execute,
             goal_callback=self._considered,
             handle_accepted_callback=self._accepted,
@@ -364,7 +365,7 @@ class GoalServer:
     def spin(self) -> None:
         """Serve; returns once it is `closing`, when every client has its result or its answer.
 
-        Clients that go on sending goals do not keep it for ever (`leave`).
+        Clients that go on sending goals cannot keep it from returning for ever (`leave`).
         """
         try:
             while not (self.closing and self._idle() and self.quiet) and time.monotonic() < self._spins_until_s:
@@ -373,12 +374,12 @@ class GoalServer:
             self._has_spun.set()
 
     def leave(self, patience_s: float, give_up: Callable[[], None]) -> None:
-        """Wait, in another thread, until `spin` has been left; after `patience_s`, `give_up` is to end every goal.
+        """Wait until `spin` has returned; call in another thread. After `patience_s`, `give_up` must end every goal.
 
-        No goal is taken from then on, and whoever has no result `RESULT_GRACE_S` later gets none.
+        No goal is taken from then on, and a client that has no result `RESULT_GRACE_S` later gets none.
         """
         self.closing = True
-        self._executor.create_task(lambda: None)  # a turn of `spin`, which may wait for ever
+        self._executor.create_task(lambda: None)  # wakes `spin`, which may wait without timeout
         if not self._has_spun.wait(patience_s):
             give_up()
             self._server.stop()
@@ -420,7 +421,7 @@ class GoalServer:
         return CancelResponse.ACCEPT
 
     async def _execute(self, handle: ServerGoalHandle) -> Any:
-        """One goal from its acceptance to its single terminal call."""
+        """Run one goal from its acceptance to its single terminal call."""
         try:
             return self._conclude(handle, await self._run(handle))
         finally:

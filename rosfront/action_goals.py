@@ -2,8 +2,8 @@
 # (rclpy annotates some of its functions and leaves the others untyped)
 """The goals of all actions of an arm from their arrival to their end, whatever they ask for.
 
-Each is judged in the worker's thread, in the order in which they came, and handed to the control process; a newer one
-replaces an older one of whichever action.
+Each is checked in the worker's thread, in the order of arrival, and handed to the control process. A newer goal
+replaces an older one, of whichever action.
 """
 
 from collections.abc import Callable
@@ -24,14 +24,14 @@ _NOT_SERVING = verdicts.refused(NotServing(CLOSING))
 _CANCELED = Verdict(Status.CANCELED, 0, NEVER_BEGUN)
 
 Planner = Callable[[], GoalPlan]
-"""Judges a goal and translates it into waypoints; raises GoalRefused."""
+"""Checks a goal and translates it into waypoints; raises GoalRefused."""
 
 
 class ActionGoals:
-    """All action goals of one node; but for the planners, everything here is called in the executor's thread."""
+    """All action goals of one node; `consider`, `accepted`, `run` and `cancel` are called in the executor's thread."""
 
     def __init__(self, executor: Executor, serving: Serving, warn: Callable[[str], Any]) -> None:
-        """`warn` is told why a goal was rejected."""
+        """`warn` is called with the reason for which a goal was rejected."""
         self._executor = executor
         self._serving = serving
         self._warn = warn
@@ -41,19 +41,19 @@ class ActionGoals:
         self._closing = False
 
     def start(self) -> None:
-        """Judge goals from now on."""
+        """Start the thread that checks goals."""
         self._worker.start()
 
     def stop(self) -> None:
-        """Judge none any more."""
+        """End the thread that checks goals, after what was put before."""
         self._worker.stop()
 
     def put(self, work: Callable[[], None]) -> None:
-        """Do something in the thread in which goals are judged, behind those that came before."""
+        """Run `work` in the thread that checks goals, behind those that came before."""
         self._worker.put(work)
 
     async def consider(self, goal: Any, plan: Planner) -> GoalResponse:
-        """Accept every goal, so that a bad one can be told why; `strict_reject` rejects bad ones instead."""
+        """Accept every goal, so that the result of a bad one can say why; `strict_reject` rejects bad ones instead."""
         if not self._serving.arm.trajectory.strict_reject:
             return GoalResponse.ACCEPT
         considered, arrival = ConsideredGoal(self._executor.wake), self._arrival(goal)
@@ -88,7 +88,7 @@ class ActionGoals:
         return GoalResponse.REJECT
 
     def accepted(self, handle: ServerGoalHandle, plan: Planner) -> None:
-        """Take a goal in; `run` awaits its end."""
+        """Queue an accepted goal for its check; `run` awaits its end."""
         key = bytes(handle.goal_id.uuid)
         goal = self._pending[key] = PendingGoal(self._executor.wake, self._arrival(handle.request))
         if handle.is_cancel_requested:
@@ -98,11 +98,11 @@ class ActionGoals:
             goal.execution_or_end(_NOT_SERVING)
 
     def _arrival(self, goal: Any) -> Arrival:
-        """When a goal has come; where that was not noted, now."""
+        """When a goal has arrived; where that was not noted, now."""
         return goal.arrival if isinstance(goal, GoalRequest) else self._serving.arrival()
 
     async def run(self, handle: ServerGoalHandle) -> Verdict:
-        """How a goal that was accepted ends."""
+        """Await the end of an accepted goal and return its verdict."""
         key = bytes(handle.goal_id.uuid)
         goal = self._pending[key]
         try:
@@ -117,7 +117,7 @@ class ActionGoals:
         return verdict
 
     def _begin(self, goal: PendingGoal, plan: Planner, key: bytes) -> None:
-        """Judge a goal and hand it on; in the worker's thread."""
+        """Check a goal and hand it on; in the worker's thread."""
         if goal.ended.done():
             return
         try:
@@ -129,7 +129,7 @@ class ActionGoals:
             goal.fail(problem)
 
     def cancel(self, handle: ServerGoalHandle) -> None:
-        """The arm then stops on its path."""
+        """End a goal that was not handed on yet; otherwise the arm stops on its path."""
         goal = self._pending.get(bytes(handle.goal_id.uuid))
         if goal is None:
             return

@@ -1,11 +1,12 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""An action server's goal requests, taken as bytes in a thread of their own, with the interpreter unlocked.
+"""Takes an action server's goal requests as bytes in a thread of its own, with the interpreter unlocked.
 
-rclpy takes a request with the interpreter locked from the middleware's copy to the last of the objects it makes of it;
-meanwhile no thread of this process moves, the one with the heartbeat neither. The C functions below are those that
-rclpy itself calls. Called from here they lock nothing, and what they took is serialised again: bytes are the one form
-that depends on no memory layout. What a C function is given is made and freed by another and never looked into.
+rclpy takes a request with the interpreter locked, from the middleware's copy to the last of the objects that it makes
+of the request. Meanwhile no thread of this process runs, not even the one with the heartbeat. The C functions below are
+those that rclpy itself calls. Called from here they do not lock the interpreter, and the request that they took is
+serialised again: bytes are the one form that depends on no memory layout. What a C function is given is made and freed
+by other C functions and never read here.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ from rosfront.serving import Arrival
 Request: Any = FollowJointTrajectory.Impl.SendGoalService.Request
 Response: Any = FollowJointTrajectory.Impl.SendGoalService.Response
 SOON_S = 0.002
-"""The executor waits so long for a request to be taken, which is ten times what a usual one needs."""
+"""How long the executor waits for a request to be taken: ten times what a usual one needs."""
 LONGEST_STOP_S = 0.2
-"""At the end of the program; a longer request is left to be taken by a thread that ends with the process."""
+"""How long `stop` waits; a request that takes longer is left to a thread that ends with the process."""
 _TAKE_FAILED = 2201
-"""RCL_RET_ACTION_SERVER_TAKE_FAILED: there is none."""
+"""RCL_RET_ACTION_SERVER_TAKE_FAILED: there is no request."""
 _HEADER_SIZE = 256
 """Bytes, ten times those of a rmw_request_id_t."""
 
@@ -49,9 +50,9 @@ class GoalRequest(NamedTuple):
     data: np.ndarray
     """(n,) bytes, serialised."""
     arrival: Arrival
-    """At the latest when it came; where others waited to be taken before it, when they came."""
+    """When it arrived, or earlier: requests taken one after another have the arrival of the first."""
     header: Any
-    """Whom to answer."""
+    """The middleware's header of the request, needed to answer it."""
 
 
 class _Allocator(ctypes.Structure):
@@ -74,10 +75,10 @@ class _ErrorString(ctypes.Structure):
 
 
 class _Messages:
-    """What rclpy knows of a message class: how to make, fill and free its C message."""
+    """rclpy's functions for a message class: they make, fill and free its C message."""
 
     def __init__(self, kind: Any) -> None:
-        """Raises AttributeError, ValueError when rclpy knows less."""
+        """Raises AttributeError, ValueError when rclpy lacks one of them."""
         pointer, address = ctypes.pythonapi.PyCapsule_GetPointer, ctypes.c_void_p
         pointer.restype, pointer.argtypes = address, (ctypes.py_object, ctypes.c_char_p)
         known = type(kind)
@@ -85,13 +86,13 @@ class _Messages:
             known.__import_type_support__()
         self._create = ctypes.CFUNCTYPE(address)(pointer(known._CREATE_ROS_MESSAGE, None))
         self._free = ctypes.CFUNCTYPE(None, address)(pointer(known._DESTROY_ROS_MESSAGE, None))
-        fill = ctypes.PYFUNCTYPE(ctypes.c_bool, ctypes.py_object, address)  # it looks into rclpy's, so it locks
+        fill = ctypes.PYFUNCTYPE(ctypes.c_bool, ctypes.py_object, address)  # it reads rclpy's message, so it locks
         self._fill = fill(pointer(known._CONVERT_FROM_PY, None))
         self.type_support: int = pointer(known._TYPE_SUPPORT, None)
 
     @contextmanager
     def new(self) -> Iterator[int]:
-        """An empty one; raises MemoryError."""
+        """The address of an empty C message; raises MemoryError."""
         made: int | None = self._create()
         if made is None:
             raise MemoryError
@@ -102,7 +103,7 @@ class _Messages:
 
     @contextmanager
     def of(self, message: Any) -> Iterator[int]:
-        """One that holds what rclpy's message holds."""
+        """The address of a C message with the contents of rclpy's message; raises MemoryError, ValueError."""
         with self.new() as made:
             if not self._fill(message, made):
                 raise ValueError(f"rclpy does not fill a {type(message).__name__}")
@@ -122,7 +123,7 @@ class GoalFunctions:
             raise Unavailable(str(problem)) from problem
 
     def _find_functions(self) -> None:
-        library = ctypes.CDLL(rclpy_implementation.__file__)  # finds its own and those of all it depends on
+        library = ctypes.CDLL(rclpy_implementation.__file__)  # finds its own functions and those of all it depends on
         pointer, code, serialised = ctypes.c_void_p, ctypes.c_int, ctypes.POINTER(_Bytes)
 
         def function(name: str, result: Any, *arguments: Any) -> Any:
@@ -142,7 +143,7 @@ class GoalFunctions:
         self._allocator = function("rcutils_get_default_allocator", _Allocator)()
 
     def _try_a_request(self) -> None:
-        """Raise ValueError unless a request's bytes are those that rclpy makes of it."""
+        """Raise ValueError unless rclpy reads the bytes made here of a request as that request."""
         request = Request()
         request.goal_id.uuid = np.arange(1, 17, dtype=np.uint8)
         request.goal.trajectory.joint_names = ["joint"]
@@ -152,7 +153,7 @@ class GoalFunctions:
             raise ValueError("a serialised goal request has another form")
 
     def take(self, server: int) -> tuple[np.ndarray, Any] | None:
-        """The next request of an action server: (n,) bytes, and whom to answer; None when there is none.
+        """The next request of an action server: (n,) bytes, and the header for its answer; None when there is none.
 
         Raises RuntimeError, MemoryError.
         """
@@ -192,7 +193,7 @@ class GoalFunctions:
 class GoalRequests(threading.Thread):
     """Takes the requests that the executor finds, whose wait set has the server.
 
-    What is called here touches nothing of the server but its goal service, of which nobody else takes.
+    The functions called here use only the server's goal service, from which nothing else takes.
     """
 
     def __init__(
@@ -203,9 +204,9 @@ class GoalRequests(threading.Thread):
         arrival: Callable[[], Arrival],
         say: Callable[[str], Any],
     ) -> None:
-        """`handle` is rclpy's of the action server; `arrival` is asked when requests are found.
+        """`handle` is rclpy's handle of the action server; `arrival` is called when requests are found.
 
-        `say` is told, in a sentence, of a request that could not be taken.
+        `say` is called with a sentence about a request that could not be taken.
         """
         super().__init__(name="goal-requests", daemon=True)
         self._functions = functions
@@ -225,7 +226,7 @@ class GoalRequests(threading.Thread):
     # --- in the executor's thread ---
 
     def find(self) -> None:
-        """Have it taken that there are requests; waits for the first, or for `SOON_S`."""
+        """Have the thread take the requests; waits until it has taken the first, `SOON_S` at most."""
         with self._lock:
             if self._found is None:
                 self._found = self._arrival()
@@ -239,7 +240,7 @@ class GoalRequests(threading.Thread):
         return bool(self._taken)
 
     def pop(self) -> GoalRequest:
-        """The next request that was taken."""
+        """Remove and return the next request that was taken."""
         request = self._taken.popleft()
         if self._taken:
             self._executor.wake()
@@ -278,7 +279,7 @@ class GoalRequests(threading.Thread):
             self._executor.create_task(fail)
 
     def _take_all(self) -> bool:
-        """Wait until there are requests, and take them until there is none; False at the end."""
+        """Wait until there are requests, and take them until there is none; returns False when the thread is to end."""
         self._wanted.wait()
         with self._lock:
             self._wanted.clear()

@@ -1,9 +1,9 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""Action goals on their way in: judged in a thread of their own, in the order in which they came.
+"""Checks incoming action goals in a thread of its own, in the order of arrival.
 
-Judging 100,000 points takes a second or more. Meanwhile the executor answers everybody else, and whoever cancels a goal
-that is still being judged is told its end at once; what the judgement then says is of no interest.
+Checking 100,000 points takes a second or more. Meanwhile the executor serves other clients. A client that cancels a
+goal still being checked gets its result at once; the outcome of the check is then ignored.
 """
 
 import threading
@@ -21,18 +21,18 @@ End = TypeVar("End")
 
 
 class GoalWorker(threading.Thread):
-    """Does one thing after another; a daemon, as at the end of the program it may be busy with what nobody awaits."""
+    """Runs one function after another; a daemon, as at shutdown it may be busy with a result no longer awaited."""
 
     def __init__(self) -> None:
         super().__init__(name="goals", daemon=True)
         self._works: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
 
     def put(self, work: Callable[[], None]) -> None:
-        """Do it when everything before is done; it must not raise."""
+        """Run `work` when everything put before is done; it must not raise."""
         self._works.put(work)
 
     def stop(self) -> None:
-        """Return from `run` when everything before is done."""
+        """Return from `run` when everything put before is done."""
         self._works.put(None)
 
     def run(self) -> None:
@@ -41,23 +41,24 @@ class GoalWorker(threading.Thread):
 
 
 class Pending(Generic[End]):
-    """What is awaited by the executor and ends with the first that any thread has to say."""
+    """Something that the executor awaits; the first thread to call `end` or `fail` decides how it ends."""
 
     def __init__(self, wake: Callable[[], None]) -> None:
-        """`wake` makes the executor look at what has changed."""
+        """`wake` wakes the executor, so that it sees the change."""
         self.ended: Future = Future()
         """Its End."""
         self._wake = wake
         self._lock = threading.Lock()
 
     def end(self, end: End) -> None:
+        """Set its End, unless it has ended."""
         with self._lock:
             if not self.ended.done():
                 self.ended.set_result(end)
         self._wake()
 
     def fail(self, problem: BaseException) -> None:
-        """A defect of ours, raised to whoever awaits the end."""
+        """End it by a defect of ours, which is raised where the end is awaited."""
         with self._lock:
             if not self.ended.done():
                 self.ended.set_exception(problem)
@@ -65,7 +66,7 @@ class Pending(Generic[End]):
 
 
 class ConsideredGoal(Pending[GoalRefused | None]):
-    """An action goal that may still be rejected; ends with the reason, or with None."""
+    """An action goal that may still be rejected; ends with the reason, or with None if it is accepted."""
 
 
 class PendingGoal(Pending[Verdict]):
@@ -77,13 +78,13 @@ class PendingGoal(Pending[Verdict]):
         self._execution: Execution | None = None
 
     def begin(self, start: Callable[[], Execution]) -> None:
-        """Hand it to the control process, unless it has ended meanwhile."""
+        """Hand the goal to the control process by `start`, unless it has ended meanwhile."""
         with self._lock:
             if not self.ended.done():
                 self._execution = start()
 
     def execution_or_end(self, verdict: Verdict) -> Execution | None:
-        """What moves the arm for it; where nothing does yet, nothing ever will, and it ends with the `verdict`."""
+        """The goal's execution. If there is none yet, there never will be: the goal ends with the `verdict`."""
         with self._lock:
             if self._execution is None and not self.ended.done():
                 self.ended.set_result(verdict)

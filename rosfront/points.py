@@ -1,6 +1,6 @@
-"""The points of a trajectory message as arrays, and what is wrong with a message whatever the arm may do.
+"""Reads the points of a trajectory message as arrays, and refuses a message that is wrong for any arm.
 
-Pure functions of the message: attribute access only, so anything shaped like it will do.
+Pure functions of the message: attribute access only, so any object of its shape will do.
 """
 
 from collections.abc import Sequence
@@ -27,12 +27,12 @@ from rosfront.refusals import (
 )
 
 Rows = tuple[np.ndarray, np.ndarray]
-"""One field of all points: how many numbers each has (n,), and those numbers one after another."""
+"""One field of all points: how many numbers each point has (n,), and all these numbers one after another."""
 
 
 @dataclass(frozen=True)
 class Columns:
-    """The points of a message field by field; nothing of them is checked."""
+    """The unchecked points of a message, field by field."""
 
     times_ns: np.ndarray
     positions: Rows
@@ -42,7 +42,7 @@ class Columns:
 
     @classmethod
     def of(cls, points: Sequence[Any]) -> "Columns":
-        """From messages, or anything shaped like them."""
+        """From messages, or any objects of their shape."""
         times_ns = np.fromiter(
             (point.time_from_start.sec * NS + point.time_from_start.nanosec for point in points), np.int64, len(points)
         )
@@ -60,7 +60,7 @@ def _rows(rows: Sequence[Sequence[float]]) -> Rows:
 
 @dataclass(frozen=True)
 class Points:
-    """The points as they came, columns in the order of the message; derivatives NaN where not given."""
+    """The points as they came: times (n,), values (n, joints) in the order of the message, NaN where not given."""
 
     times_ns: np.ndarray
     positions: np.ndarray
@@ -71,7 +71,7 @@ class Points:
 
 
 def refuse_unsupported(goal: Any) -> None:
-    """Refuse a FollowJointTrajectory goal with wishes for joints that are none of an arm's; raises NotSupported."""
+    """Raise NotSupported for a FollowJointTrajectory goal that asks something of multi-dof joints."""
     if goal.multi_dof_trajectory.joint_names or goal.multi_dof_trajectory.points:
         raise NotSupported("The goal has a multi_dof_trajectory and this arm no such joints; leave it empty.")
     for field in ("component_path_tolerance", "component_goal_tolerance"):
@@ -82,7 +82,7 @@ def refuse_unsupported(goal: Any) -> None:
 
 
 def columns_of(joint_names: Sequence[str], known: list[str], *, allow_partial: bool) -> np.ndarray:
-    """Index among the known joints of each named one; raises BadJoints."""
+    """The index of each named joint among the known ones; raises BadJoints."""
     if not joint_names:
         raise NoJoints(known)
     seen: set[str] = set()
@@ -98,7 +98,7 @@ def columns_of(joint_names: Sequence[str], known: list[str], *, allow_partial: b
 
 
 def read_points(given: Columns, joint_names: Sequence[str]) -> Points:
-    """Positions for every joint at rising times, and finite numbers only; raises GoalRefused."""
+    """Check the points: positions for every joint, rising times and finite numbers only; raises GoalRefused."""
     width = len(joint_names)
     if len(given) == 0:
         raise EmptyTrajectory()

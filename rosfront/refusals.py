@@ -1,4 +1,4 @@
-"""Why a goal is refused: one exception a reason, each holding what it is about, each one sentence.
+"""Why a goal is refused: one exception per reason, with the values it is about as attributes and one sentence.
 
 The error codes are those of control_msgs/action/FollowJointTrajectory (facts: control_msgs 5.x, Result).
 """
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from config.errors import legible
 
 LONGEST_NAME = 60
-"""Characters of a sender's name for a joint that are repeated to people."""
+"""A sentence repeats this many characters of a sender's name at most."""
 SUCCESSFUL = 0
 INVALID_GOAL = -1
 INVALID_JOINTS = -2
@@ -26,7 +26,7 @@ def angle(value_rad: float) -> str:
 class GoalRefused(Exception):
     """Root: a goal that cannot be executed; `sentence` says why, `code` is the action's error code.
 
-    `joint`, `point` (index), `value` and `limit` say what it is about, None where that means nothing.
+    `joint`, `point` (index), `value` and `limit` say what it is about, None where they do not apply.
     """
 
     code = INVALID_GOAL
@@ -261,7 +261,7 @@ class BadTolerance(GoalRefused):
 
 
 class TooFar(GoalRefused):
-    """The trajectory is not where the arm stands; `place` says what of it."""
+    """The trajectory is too far from where the arm is commanded; `place` says which part of it."""
 
     def __init__(self, place: str, joint: str, distance_rad: float, limit_rad: float, planned_rad: float) -> None:
         super().__init__(
@@ -348,7 +348,7 @@ class OffTheLine(OffTheStraight):
 
 
 class OutOfLimits(OffTheStraight):
-    """The line leads a joint out of its limits, though another way of the arm leads to its end."""
+    """The line leads a joint out of its limits, though the arm can reach its end in another configuration."""
 
     def __init__(self, place: str, joint: str, value_rad: float, lower_rad: float, upper_rad: float) -> None:
         super().__init__(
@@ -359,7 +359,7 @@ class OutOfLimits(OffTheStraight):
 
 
 class BadRequest(GoalRefused):
-    """A field of a request of the full node has a value that cannot be taken."""
+    """A field of a request of the full node has a value that is not allowed."""
 
 
 class NotANumber(BadRequest):
@@ -407,7 +407,7 @@ class MotorAngleBeyondLimit(BadRequest):
 
 
 class ParkingTooLong(GoalRefused):
-    """The way to where the arm parks takes longer than parking may."""
+    """The move to the parking pose would take longer than parking may."""
 
     def __init__(self, takes_s: float, limit_s: float, speed_scale: float) -> None:
         if speed_scale < 1.0:
@@ -420,7 +420,7 @@ class ParkingTooLong(GoalRefused):
 
 
 class InMotion(GoalRefused):
-    """A move that begins at rest was asked of an arm that is not, or will not be."""
+    """A move that begins at rest was asked for while the arm moves, or will move for another goal."""
 
     def __init__(self) -> None:
         super().__init__(

@@ -181,7 +181,7 @@ class _Maker:
     def a_blend_does(self) -> bool:
         """Whether the control process can lead the arm onto the message's own path within the limits.
 
-        A quintic that removes a difference of d rad and w rad/s within T adds at most 5.8 d / T² and 3.9 w / T.
+        A quintic that removes d rad and w rad/s within T accelerates by at most 5.8 d / T² and 3.9 w / T.
         """
         if self._present.standing and self._earlier is None and self.wanted.start_ns >= self._present.monotonic_ns:
             return True  # it waits for the arm or the arm for it, and how it begins was judged

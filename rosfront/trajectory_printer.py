@@ -2,9 +2,9 @@
 # (rclpy annotates some of its functions and leaves the others untyped)
 """`python -m rosfront.trajectory_printer [--language zh|en] [--ros-args …]`: print what MoveIt sends, move nothing.
 
-The tutorial's second mode: the same action and the same checks of the message as the arm's front, but instead of an
-arm a printer behind them. /joint_states jump to the last point of each goal, so MoveIt plans on from there. What is
-printed is the contract (facts: episode1-arm, section 4); the Chinese lines are those of the tutorial.
+The tutorial's second mode: it offers the same action and checks messages like the arm's front, but prints goals instead
+of moving an arm. /joint_states jump to the last point of each goal, so MoveIt plans on from there. What is printed is
+the contract (facts: episode1-arm, section 4); the Chinese lines are those of the tutorial.
 
 Exit codes: 0 after an orderly end, 1 when it cannot run (one sentence on standard error says why), 2 for a wrong
 command line.
@@ -97,7 +97,7 @@ LANGUAGES = {
 
 
 def greeting(words: Words) -> list[str]:
-    """The messages of the start."""
+    """The messages at the start."""
     return [words.started, words.waiting]
 
 
@@ -136,13 +136,13 @@ class JointStates(threading.Thread):
 
         super().__init__(name="joint-states", daemon=True)
         self.position_rad = [0.0] * len(arm.joints)
-        """One a joint, in the arm's order; replaced as a whole."""
+        """One per joint, in the arm's order; replaced as a whole."""
         self._message = position_bytes(arm)
         self._publisher = publisher
         self._leave = threading.Event()
 
     def run(self) -> None:
-        """Until `stop`; what is late is left out instead of being caught up with."""
+        """Publish until `stop`; a late message is skipped, not caught up with."""
         begun_ns, tick = time.monotonic_ns(), 0
         while True:
             now_ns = time.monotonic_ns()
@@ -161,8 +161,8 @@ class JointStates(threading.Thread):
 class PrinterNode:
     """The node, its action and the publisher's thread; `spin` serves until `close`.
 
-    Goals are printed one after the other in a thread of their own, because a long one takes seconds in which cancels
-    are to be answered.
+    Goals are printed one after the other in a thread of their own, because a long one takes seconds, in which cancels
+    must be answered.
     """
 
     def __init__(self, arm: ArmConfig, executor: "SingleThreadedExecutor", words: Words) -> None:
@@ -192,7 +192,7 @@ class PrinterNode:
         self._goals.spin()
 
     def announce(self) -> None:
-        """Say that trajectories can be sent."""
+        """Log that trajectories can be sent."""
         for message in greeting(self._words):
             self._say(message)
 
@@ -211,7 +211,7 @@ class PrinterNode:
         def work() -> None:
             try:
                 printed.set_result(self._print(handle, points, columns.tolist()))
-            except BaseException as failure:  # it belongs to the executor's thread, which ends the program
+            except BaseException as failure:  # raised in the executor's thread, which ends the program
                 printed.set_exception(failure)
             self._executor.wake()
 
@@ -235,10 +235,10 @@ class PrinterNode:
         return Verdict(Status.SUCCEEDED, SUCCESSFUL, "")
 
     def finish(self, end: EndSignal) -> None:
-        """Nothing moves here."""
+        """Nothing to do, since nothing moves."""
 
     def close(self, patience_s: float) -> None:
-        """Stop printing, tell the client, and end; call from a thread of neither kind."""
+        """Stop printing, send the client its result, and end; call from neither of the node's threads."""
         self._stopped.set()
         self._goals.leave(patience_s, lambda: None)
         self._printing.shutdown()

@@ -1,7 +1,7 @@
-"""From what the full node's actions ask for to waypoints, or to the sentence that says why not.
+"""Translates goals of the full node's actions into waypoints, or refuses them with a sentence that says why.
 
-Pure functions of the goal (attribute access only), the arm and where it is commanded. Outside are millimetres, degrees
-and motor-side angles, which are 0 at a joint's homing stop: the joint's own angle plus its `zero_deg`.
+Pure functions of the goal, the arm and its commanded state. Clients use millimetres, degrees and motor-side angles. A
+motor-side angle is 0 at the joint's homing stop: it is the joint's own angle plus its `zero_deg`.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from rosfront.settings import Settings
 DEFAULT_ORDER = "zyx"
 DEFAULT_STEP_MM = 8.0
 SLOWEST_RATIO = 0.001
-"""Episode1's longest move takes four hours with it; what would take years is somebody's mistake."""
+"""With it Episode1's longest move takes four hours; a ratio by which it takes years is a client's mistake."""
 FINEST_STEP_MM = 0.1
-"""Of finer steps a line has none: what is between two points is straight to some micrometres."""
+"""Finer steps are refused: between two points the line is straight to some micrometres anyway."""
 WITHOUT_GEOMETRY = (
     "The arm file has no kinematics section, so nobody knows where the flange is: add one (episode1.yaml shows how), "
     "or use angle_mode."
@@ -48,12 +48,12 @@ class Move:
 
     plan: GoalPlan
     note: str = ""
-    """What of the request was not taken literally, as a sentence."""
+    """A sentence on what of the request was not taken literally; empty if all was."""
     line: Line | None = None
 
     @property
     def target_rad(self) -> np.ndarray:
-        """The joints (6,) at the end."""
+        """Joint angles (6,) at the end."""
         target: np.ndarray = self.plan.joints[-1, :, 0]
         return target
 
@@ -75,7 +75,7 @@ class Moves:
     # --- what is asked for; all of them raise GoalRefused ---
 
     def to_angles(self, angles_deg: Sequence[float], speed_ratio: float, present: Present, settings: Settings) -> Move:
-        """All joints to motor-side angles (degrees)."""
+        """Plan a move of all joints to motor-side angles (degrees)."""
         target_deg = _finite("angles", angles_deg)
         ratio, note = _ratio(speed_ratio)
         for index, (joint, value_deg) in enumerate(zip(self._arm.joints, target_deg.tolist(), strict=True)):
@@ -95,7 +95,7 @@ class Moves:
         present: Present,
         settings: Settings,
     ) -> Move:
-        """The flange to a pose, all joints together; of several ways the one nearest to where the arm stands."""
+        """Plan a joint move to a flange pose; of several configurations the one nearest to where the arm stands."""
         inverse = self._with_inverse()
         pose = _pose(position_mm, rotation_deg, "ik_mode", ik_mode)
         ratio, note = _ratio(speed_ratio)
@@ -115,7 +115,7 @@ class Moves:
         present: Present,
         settings: Settings,
     ) -> Move:
-        """The flange to a pose in a straight line."""
+        """Plan a straight line of the flange to a pose."""
         inverse = self._with_inverse()
         pose = _pose(position_mm, rotation_deg, "rotation_mode", rotation_mode or DEFAULT_ORDER)
         step_m = step_of(step_mm) / 1e3
@@ -144,7 +144,7 @@ class Moves:
         return angles
 
     def flange(self, positions_rad: np.ndarray) -> Poses | None:
-        """Where joint angles (6,) put the flange (4, 4); None for an arm without geometry."""
+        """The flange pose (4, 4) at joint angles (6,); None for an arm without geometry."""
         return None if self._arm.kinematics is None else flange_pose(self._arm.kinematics, positions_rad)
 
 
@@ -158,7 +158,7 @@ def step_of(step_mm: float) -> float:
 
 
 def position_and_rotation(pose: Poses, order: str) -> tuple[list[float], list[float]]:
-    """A pose (4, 4) as mm and degrees; in the default order where the word is none."""
+    """A pose (4, 4) as mm and degrees; in the default order where `order` is none of `ORDERS`."""
     rotation_deg = angles_of(pose[:3, :3], order if order in ORDERS else DEFAULT_ORDER)
     return (pose[:3, 3] * 1e3).tolist(), rotation_deg.tolist()
 
@@ -180,7 +180,7 @@ def _finite(field: str, values: Sequence[float]) -> np.ndarray:
 
 
 def _ratio(speed_ratio: float) -> tuple[float, str]:
-    """The share of the speed limits that a request means, and a sentence where that is another number."""
+    """The share of the speed limits that a request means, and a sentence where that is not the requested number."""
     if not speed_ratio >= SLOWEST_RATIO:
         raise BadSpeedRatio(speed_ratio, SLOWEST_RATIO)
     if speed_ratio > 1.0:

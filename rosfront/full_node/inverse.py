@@ -1,15 +1,15 @@
 """Joint angles that bring the flange of an arm into a pose: the closed solution for arms with a spherical wrist.
 
-It is for six joints whose last three axes meet in one point, on a shoulder whose first axis stands square on two
+It is for six joints whose last three axes meet in one point, on a shoulder whose first axis is perpendicular to two
 parallel ones: Episode1 and most industrial arms. Then the point where the axes meet decides the first three joints and
-the rotation the last three (Pieper 1968), each in two ways:
+the rotation the last three (Pieper 1968), with two choices each for shoulder, elbow and wrist:
 
 - *shoulder*: with joint 1 the arm turns towards the point, or away from it and reaches over itself;
 - *elbow*: two sides of known length close the triangle to the point on either side;
 - *wrist*: joint 5 tilts the hand to one side, or joint 4 turns half round and joint 5 tilts to the other.
 
-All eight are found, for many poses at once, so that "out of reach" and "only outside the limits of a joint" are facts
-and no failure of a search, and a way through space can be followed on one of them.
+All eight solutions are computed, for many poses at once. So "out of reach" and "only outside the limits of a joint" are
+facts, not failures of a search, and a path through space can be followed on one of the solutions.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Angles = NDArray[np.float64]
 JOINTS = 6
 WAYS = 8
 _SAME = 1e-9
-"""Lengths (m), sines and shares of a reach that count as nothing."""
+"""Lengths (m), sines and shares of a reach up to this count as 0."""
 _LOCKED = 1e-7
 """Sine of the wrist's tilt, or distance (m) from the first axis, below which an angle is free to choose."""
 
@@ -41,7 +41,7 @@ class NoWay(Exception):
 
 
 class OtherGeometry(NoWay):
-    """The arm is none of those that the closed solution is for."""
+    """The closed solution does not apply to this arm."""
 
 
 class OutOfReach(NoWay):
@@ -62,13 +62,13 @@ class OutsideLimits(NoWay):
 
 @dataclass(frozen=True)
 class Solutions:
-    """All ways into some poses."""
+    """All solutions for some poses."""
 
     angles_rad: Angles
-    """(8, n, 6), each angle within half a turn of the seed's; NaN where a way does not exist."""
+    """(8, n, 6), each angle within half a turn of the seed's; NaN where a solution does not exist."""
     room: NDArray[np.float64]
-    """(3, 8, n): how far each is from where two ways become one: of the shoulder (m from the first axis), of the elbow
-    (sine of the angle between its sides), of the wrist (sine of its tilt)."""
+    """(3, 8, n): how far each is from a singularity, where two solutions become one: of the shoulder (m from the first
+    axis), of the elbow (sine of the angle between its sides), of the wrist (sine of its tilt)."""
 
 
 class Inverse:
@@ -81,7 +81,7 @@ class Inverse:
         self.lower_rad = np.array([joint.lower_rad for joint in joints])
         self.upper_rad = np.array([joint.upper_rad for joint in joints])
         self.slack_rad = np.array([joint.slack_rad for joint in joints])
-        """What rounding may put a joint that stands at its limit beyond it."""
+        """How far (rad) rounding may put a joint that stands at its limit beyond that limit."""
         rows = kinematics.dh
         self._signs = np.array([float(row.sign) for row in rows])
         self._offsets_rad = np.array([row.offset_rad for row in rows])
@@ -96,7 +96,7 @@ class Inverse:
         self._aside_m = rows[1].d_m + self._parallel * along_m
 
     def solutions(self, poses: Poses, seed_rad: Angles) -> Solutions:
-        """Every way into poses (n, 4, 4); where an angle is free to choose, it is that of the seed (6,)."""
+        """All solutions for poses (n, 4, 4); where an angle is free to choose, it is that of the seed (6,)."""
         rows = self._kinematics.dh
         rotation, point = self._wrist(poses)
         count = len(poses)
@@ -113,7 +113,7 @@ class Inverse:
                 ahead_m = shoulder * reach_m
                 towards = np.arctan2(y, x) - np.arctan2(-self._square * self._aside_m, ahead_m)
                 q1 = np.where(out_m < _LOCKED, seed[0], towards)
-                # The triangle of upper arm, forearm and the way from joint 2 to the point, in their plane.
+                # The triangle of upper arm, forearm and the line from joint 2 to the point, in their plane.
                 across, up = ahead_m - rows[0].a_m, self._square * (z - rows[0].d_m)
                 upper, fore = rows[1].a_m, self._elbow_m
                 cosine = (across**2 + up**2 - upper**2 - fore**2) / (2.0 * upper * fore)
@@ -131,8 +131,8 @@ class Inverse:
     def nearest(self, pose: Poses, seed_rad: Angles) -> Angles:
         """The joint angles (6,) inside the limits that give a pose (4, 4) and lie nearest to the seed (6,).
 
-        Nearest is the smallest sum of squared differences; of a straight wrist joint 4 stays as near to the seed as the
-        limits of joint 6 allow. Raises OutOfReach, OutsideLimits.
+        Nearest is the smallest sum of squared differences. With a straight wrist, joint 4 stays as near to the seed as
+        the limits of joint 6 allow. Raises OutOfReach, OutsideLimits.
         """
         solutions = self.solutions(pose[np.newaxis], seed_rad)
         exists = np.isfinite(solutions.angles_rad[:, 0]).all(axis=-1)
@@ -160,13 +160,13 @@ class Inverse:
     def _with_turn_shared(self, way_rad: Angles, seed_rad: Angles) -> Angles:
         """The angles (6,) of a straight wrist with joint 4 as near to the seed (6,) as the limits of joint 6 allow.
 
-        Both turn about one axis, so only what they turn together is given by the pose. Where no share between them is
-        inside the limits, they stay as they are.
+        Both turn about one axis, so the pose determines only their combined turn. If no distribution of it between them
+        is inside the limits, they stay as they are.
         """
         outer = [3, 5]
         held = _about_z(self._signs[4] * way_rad[4] + self._offsets_rad[4])
         turns_over = (self._alphas[3] @ held @ self._alphas[4])[2, 2] < 0.0
-        # What joint 4 turns on, joint 6 turns back: t of the one is `back` * t of the other.
+        # Joint 6 undoes what joint 4 turns: the pose stays if they turn by t and `back` * t.
         back = self._signs[3] * self._signs[5] * (1.0 if turns_over else -1.0)
         whole = 2.0 * math.pi * np.arange(-2, 3)
         angles = way_rad[outer, np.newaxis, np.newaxis] + np.stack(np.meshgrid(whole, whole))
@@ -183,7 +183,7 @@ class Inverse:
         return shared
 
     def jacobian(self, angles_rad: Angles) -> NDArray[np.float64]:
-        """(…, 6, 6): the flange's velocity (m) and turning (rad), in the base's axes, for each joint's rad."""
+        """(…, 6, 6): the flange's translation (m) and rotation (rad) in the base's axes, per rad of each joint."""
         links = link_poses(self._kinematics, angles_rad)[..., 1:, :, :]
         tip = flange_pose(self._kinematics, angles_rad)[..., :3, 3]
         axes = links[..., :3, 2] * self._signs[:, np.newaxis]

@@ -1,8 +1,8 @@
-"""Motions of our own making, from where the arm stands to rest elsewhere: of the joints, or of the flange on a line.
+"""Motions that the front plans itself, from rest to rest: of the joints, or of the flange on a straight line.
 
-Both run through a path, a share of 0 to 1, with one profile of speed: a ramp up, an even part, the same ramp down. On a
-ramp the speed is the smoothstep 3x² - 2x³, so that the acceleration begins and ends at nothing and peaks at 1.5 times
-its mean. What comes out is a trajectory as others send them, and is judged like theirs.
+Both follow a path by its share from 0 to 1, with the same speed profile: a ramp up, a part of constant speed, the same
+ramp down. On a ramp the speed is the smoothstep 3x² - 2x³, so that the acceleration begins and ends at 0 and peaks at
+1.5 times its mean. The result is a trajectory like those that clients send, and is checked like them.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from rosfront.refusals import OffTheLine, OutOfLimits, Singular, Unreachable
 from rosfront.trajectory_bytes import Header, Stamp, Trajectory
 
 SAMPLE_M, SAMPLE_RAD = 1e-3, math.radians(0.5)
-"""How far apart, along the line and in rotation, a line is looked at before it is taken."""
+"""Spacing of the samples, along the line and in rotation, at which a line is checked before it is accepted."""
 WAYPOINT_M, WAYPOINT_RAD = 5e-3, math.radians(2.0)
-"""How far apart the waypoints of a line are at most, the turn of any joint included."""
+"""Largest spacing of a line's waypoints, along the line and in rotation; the latter also holds for any joint."""
 NEAREST_M, NEAREST_SINE = 0.01, 0.02
-"""How near a line may come to the places where two ways of the arm meet: of the shoulder, and of elbow and wrist.
+"""How near a line may come to the singularities, where two configurations meet: of the shoulder, of elbow and wrist.
 
-Nearer than that a joint turns more than fifty times as far as the flange does, and beyond lies another way.
+Nearer than that a joint turns more than fifty times as far as the flange does, and beyond lies another configuration.
 """
 SINGULAR = (
     "the wrist's centre comes too near to joint 1's axis, where that joint would have to spin",
@@ -36,23 +36,23 @@ SINGULAR = (
     "joints 4 and 6 turn about almost one axis (joint 5 is straight), where they would have to spin",
 )
 _DIFFERENCE = 1e-5
-"""Share of a line over which the change of its joint velocities is taken; the ends may be passed by that."""
+"""Share of a line by which the finite difference of its joint velocities steps, also beyond the line's ends."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """How a path is run through: two ramps and an even part between them."""
+    """The speed profile of a path: two ramps and a part of constant speed between them."""
 
     ramp_s: float
     even_s: float
     speed: float
-    """Shares a second on the even part."""
+    """The constant speed between the ramps, in shares per second."""
 
     @classmethod
     def fastest(cls, speed: float, acceleration: float) -> Profile:
-        """The quickest one within a speed (1/s) and an acceleration (1/s²)."""
+        """The quickest profile within a speed (1/s) and an acceleration (1/s²)."""
         ramp_s = 1.5 * speed / acceleration
-        if speed * ramp_s > 1.0:  # the ramps, half a share of speed times ramp each, meet
+        if speed * ramp_s > 1.0:  # the ramps, each 0.5 * speed * ramp_s long, would overlap
             speed = math.sqrt(acceleration / 1.5)
             ramp_s = 1.0 / speed
         return cls(ramp_s, 1.0 / speed - ramp_s, speed)
@@ -62,7 +62,7 @@ class Profile:
         return 2.0 * self.ramp_s + self.even_s
 
     def times_s(self, widest: float) -> np.ndarray:
-        """Times between which no more than a share of `widest` passes, the ends of the ramps among them."""
+        """Times (n,) in s, at most a share of `widest` apart, the ends of the ramps among them."""
         ramp = np.linspace(0.0, self.ramp_s, 1 + math.ceil(self.speed * self.ramp_s / widest))
         even = np.linspace(0.0, self.even_s, 1 + math.ceil(self.speed * self.even_s / widest))
         return np.concatenate([ramp, self.ramp_s + even[1:], self.ramp_s + self.even_s + ramp[1:]])
@@ -82,7 +82,7 @@ class Profile:
 
 
 def joint_move(arm: ArmConfig, start_rad: np.ndarray, target_rad: np.ndarray, speed_ratio: float) -> Trajectory:
-    """All joints (joints,) together from rest to rest, as fast as the slowest of them may.
+    """Move all joints (joints,) together from rest to rest, as fast as the slowest of them may.
 
     `speed_ratio` (above 0, up to 1) is the share of the velocity limits; accelerations are those of the limits.
     """
@@ -100,13 +100,13 @@ def joint_move(arm: ArmConfig, start_rad: np.ndarray, target_rad: np.ndarray, sp
 
 
 class Line:
-    """The flange in a straight line from where joint angles put it to a pose, turning evenly about one axis.
+    """A straight line of the flange, from its pose at some joint angles to another pose, turning evenly about one axis.
 
-    That axis is the one of the shortest turn; of exactly half a turn it is one of the two.
+    That axis is the one of the shortest turn; for exactly half a turn it is one of the two possible ones.
     """
 
     def __init__(self, arm: ArmConfig, inverse: Inverse, start_rad: np.ndarray, pose: Poses) -> None:
-        """Raises Unreachable, or with the place on the line OutOfLimits, Singular, OffTheLine."""
+        """Raises Unreachable, or OutOfLimits, Singular, OffTheLine, which name the place on the line."""
         assert arm.kinematics is not None
         self._arm, self._inverse, self._start_rad = arm, inverse, start_rad
         self._from = flange_pose(arm.kinematics, start_rad)
@@ -131,20 +131,20 @@ class Line:
         return poses
 
     def share_at(self, flange: Poses, otherwise: float) -> float:
-        """How much of the line a flange (4, 4) has behind it, 0 to 1; `otherwise` where only the rotation changes."""
+        """The share of the line, 0 to 1, that a flange (4, 4) has covered; `otherwise` if only the rotation changes."""
         if self.length_m == 0.0:
             return otherwise
         share = float((flange[:3, 3] - self._from[:3, 3]) @ self._way_m) / self.length_m**2
         return min(max(share, 0.0), 1.0)
 
     def _follow(self) -> None:
-        """Choose the way on which the arm stands, and look along it."""
+        """Choose the arm's present configuration and check the line in it; raises as the constructor does."""
         found = self._inverse.solutions(self.poses(self._shares), self._start_rad)
         nearness = np.nan_to_num(np.abs(found.angles_rad[:, 0] - self._start_rad).max(axis=-1), nan=np.inf)
         self._branch = int(nearness.argmin())
         room = found.room[:, self._branch]
         narrow = room < np.array([NEAREST_M, NEAREST_SINE, NEAREST_SINE])[:, np.newaxis]
-        angles = np.unwrap(found.angles_rad[self._branch], axis=0)  # the first is next to the start
+        angles = np.unwrap(found.angles_rad[self._branch], axis=0)  # the first is close to the start
         lost = np.isnan(angles).any(axis=-1)
         outside = np.maximum(self._inverse.lower_rad - angles, angles - self._inverse.upper_rad)
         outside = outside > self._inverse.slack_rad
@@ -168,14 +168,14 @@ class Line:
         return f"at {math.degrees(share * self.turn_rad):.1f}° of its {math.degrees(self.turn_rad):.1f}° ({share:.0%})"
 
     def trajectory(self, step_m: float) -> Trajectory:
-        """At an even speed, the highest that the joints' limits allow all along; waypoints at most `step_m` apart."""
+        """The highest constant speed that the joints' limits allow all along; waypoints at most `step_m` apart."""
         if self.length_m == 0.0 and self.turn_rad == 0.0:
             return _trajectory(self._arm, np.zeros(1), self._start_rad[np.newaxis], *np.zeros((2, 1, 6)))
         slopes = self._slopes(self._angles_rad)
         bends = np.abs(np.gradient(slopes, self._shares, axis=0))
         slopes = np.abs(slopes)
         fastest, hardest = _limits(self._arm)
-        # Half of each joint's acceleration for the bends of its path, what they leave for the ramps.
+        # Half of each joint's acceleration is for the curvature of its path, and what that leaves for the ramps.
         speed = min(
             float((fastest / _above_zero(slopes)).min()), math.sqrt(float((0.5 * hardest / _above_zero(bends)).min()))
         )
@@ -199,14 +199,14 @@ class Line:
         return angles
 
     def _slopes(self, angles_rad: np.ndarray) -> np.ndarray:
-        """Change of the joint angles (n, 6) with the share of the line."""
+        """Derivatives (n, 6) of the joint angles by the share of the line."""
         flange = np.concatenate([self._way_m, self._turn_rad])
         slopes: np.ndarray = np.linalg.solve(self._inverse.jacobian(angles_rad), flange[:, np.newaxis])[..., 0]
         return slopes
 
 
 def _above_zero(values: np.ndarray) -> np.ndarray:
-    """What to divide by: a joint that does not move asks for nothing."""
+    """The values as divisors, never 0: a joint that does not move does not limit the speed."""
     divisor: np.ndarray = np.maximum(values, 1e-12)
     return divisor
 

@@ -2,8 +2,8 @@
 # (rclpy annotates some of its functions and leaves the others untyped)
 """The interfaces of the arm's full node (robot_arm_interfaces): moves by angles, by pose and on a line; motor angles.
 
-They are other words for what the node does anyway: a move becomes waypoints that are judged, streamed, watched,
-canceled and decided like those of any goal, and free mode is ~/free and ~/enable.
+They are other interfaces to what the node does anyway: a move becomes waypoints that are checked, streamed, monitored,
+canceled and decided like those of any goal, and set_free_mode does what ~/free and ~/enable do.
 """
 
 import math
@@ -37,7 +37,7 @@ from shm.words import Phase
 MOTOR_ANGLES_NS = NS // 30
 FEEDBACK_NS = NS // 10
 SILENT_S = 0.5
-"""Without snapshots for this long, motor_angles says why."""
+"""After this long without snapshots, motor_angles says why."""
 NEVER_READ = "No angles have been read yet: wait for the drives to be brought up."
 _DOING = {
     Phase.WAITING: "waiting to begin",
@@ -64,18 +64,18 @@ class _Asked:
 
 @dataclass(frozen=True)
 class _Reading:
-    """The angles of a moment; what is to be said of them is found out for whoever asks or listens."""
+    """The angles at one moment; whether they can be trusted is determined only for a request or a subscriber."""
 
     stamp_ns: int
     monotonic_ns: int
     joints: np.ndarray
     """The joints' rows of that moment's snapshot."""
     positions_rad: np.ndarray | None
-    """(joints,), the last ones that are numbers; None before there were any."""
+    """(joints,), the last ones that were all finite; None before there were any."""
 
 
 class FullNode:
-    """Three actions, two services and a topic on a node that has the rest."""
+    """Three actions, two services and a topic, in addition to the node's other interfaces."""
 
     def __init__(
         self,
@@ -206,7 +206,7 @@ class FullNode:
     # --- every snapshot, in the publisher's thread ---
 
     def look(self, snapshot: np.ndarray, stamp_ns: int) -> None:
-        """Thirty times a second: the motor angles, for whoever asks or listens."""
+        """Thirty times a second: keep the motor angles for requests, and publish them if there is a subscriber."""
         now_ns = int(snapshot["monotonic_ns"])
         if now_ns < self._due_ns - self._half_cycle_ns:
             return
@@ -237,7 +237,7 @@ class FullNode:
         return self._moves.motor_deg(reading.positions_rad)
 
     def _trouble(self, reading: _Reading | None) -> str:
-        """Why angles are not to be trusted; empty when they are."""
+        """Why the angles cannot be trusted; empty when they can."""
         if reading is None:
             return NEVER_READ
         now_ns = reading.monotonic_ns
@@ -255,7 +255,7 @@ class FullNode:
         return ""
 
     def aside(self) -> None:
-        """Once a second: say so when there is nothing to read the angles from; the last ones known stay."""
+        """Once a second: if there are no snapshots, publish the last angles known and the reason."""
         if time.monotonic() - self._looked_s > SILENT_S:
             self._tell_angles(self._why_silent())
 
@@ -263,7 +263,7 @@ class FullNode:
         return f"These are the last angles known. {self._serving.absence}"
 
     def tell(self, execution: Execution, snapshot: np.ndarray) -> bool:
-        """Feedback on the goal that moves the arm; False where it is none of these actions'."""
+        """Publish feedback on the goal that moves the arm; returns False where it is none of these actions'."""
         asked = self._asked.get(execution.action_goal)
         if asked is None or asked.move is None:
             return False
@@ -295,7 +295,7 @@ class FullNode:
 
 
 def _common(asked: _Asked, verdict: Verdict) -> dict[str, Any]:
-    """What every result begins with."""
+    """The fields that all results have."""
     note = asked.move.note if asked.move is not None else ""
     return {
         "success": verdict.status is Status.SUCCEEDED,
@@ -305,7 +305,7 @@ def _common(asked: _Asked, verdict: Verdict) -> dict[str, Any]:
 
 
 def _total_steps(asked: _Asked) -> int:
-    """Steps of its size that a line's length takes, one at the least; 0 where there is no line."""
+    """How many steps of the requested size a line's length takes, at least one; 0 where there is no line."""
     if asked.move is None or asked.move.line is None:
         return 0
     return max(1, math.ceil(asked.move.line.length_m * 1e3 / step_of(asked.handle.request.step_size)))

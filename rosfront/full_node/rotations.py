@@ -1,7 +1,7 @@
-"""Rotations as people give them, three angles and a word, and as one turn about one axis.
+"""Converts rotations: three angles with an axis order, as clients give them, and one rotation about one axis.
 
-The angles are always those about x, y and z, in this order (roll, pitch, yaw), in degrees; the word is the order of the
-matrices in the product, so each turn is about the axes as the ones before it have left them (intrinsic): `zyx` is
+The angles are always those about x, y and z, in this order (roll, pitch, yaw), in degrees. The axis order is that of
+the matrices in the product, so each rotation is about the axes as those before it have left them (intrinsic): `zyx` is
 Rz(yaw) Ry(pitch) Rx(roll), the usual roll-pitch-yaw, and `xyz` is Rx(roll) Ry(pitch) Rz(yaw).
 """
 
@@ -16,16 +16,16 @@ Vectors = NDArray[np.float64]
 """Vectors (…, 3)."""
 
 ORDERS = ("xyz", "zyx")
-"""What the word may be."""
+"""The allowed axis orders."""
 
 _AXES = np.eye(3)
 _LOCKED = 1e-9
-"""Cosine of the middle angle below which the other two turn about one axis."""
+"""Cosine of the middle angle below which the other two turn about one axis (gimbal lock)."""
 
 
 def matrix_of(angles_deg: Vectors, order: str) -> Matrices:
     """The rotation (3, 3) of three angles about x, y and z in one of `ORDERS`."""
-    angles_rad = np.radians(np.remainder(angles_deg, 360.0))  # exact, and of any size
+    angles_rad = np.radians(np.remainder(angles_deg, 360.0))  # the remainder is exact, so angles may have any size
     turns = dict(zip("xyz", turned(angles_rad[:, np.newaxis] * _AXES), strict=True))
     product: Matrices = turns[order[0]] @ turns[order[1]] @ turns[order[2]]
     return product
@@ -58,8 +58,8 @@ def turned(vectors_rad: Vectors) -> Matrices:
 
 
 def turn_of(rotation: Matrices) -> Vectors:
-    """The vector (3,) about which and by whose length, at most π, a rotation (3, 3) turns; the inverse of `turned`."""
-    # The quaternion by its largest part, which keeps its precision at every angle (Shepperd 1978).
+    """The rotation vector (3,) of a rotation (3, 3): axis times angle, at most π rad; the inverse of `turned`."""
+    # The quaternion from its largest component, which keeps its precision at every angle (Shepperd 1978).
     trace = np.trace(rotation)
     squares = np.array([trace, *np.diag(rotation)])
     largest = int(squares.argmax())

@@ -1,4 +1,4 @@
-"""Which hook an arm file means, a class of somebody's own among them."""
+"""Finds the hook that an arm file names, which may be a class of the user's own."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from rosfront.program import CannotServe
 from rosfront.serving import Serving
 
 METHODS = ("move", "stop", "read", "close")
-"""What a hook of one's own must have; `home` it may have."""
+"""The methods that a user's own hook must have; `home` is optional."""
 
 
 def hook_of(arm: ArmConfig, gripper: GripperConfig, serving: Serving) -> Callable[[], Gripper]:
-    """What makes the gripper's hook; raises CannotServe when it names a class that cannot be had."""
+    """A function that makes the gripper's hook; raises CannotServe when its class cannot be loaded."""
     if gripper.hook == SERVO:
         return lambda: ServoGripper(serving)
     if gripper.hook == SIMULATED:
         return lambda: SimulatedGripper(gripper)
     found = OWN_HOOK.fullmatch(gripper.hook)
-    assert found is not None  # the schema has seen to it
+    assert found is not None  # the schema has checked this
     kind = load_class(beside(arm, found["file"]), found["name"])
     return lambda: kind(gripper)
 
 
 def beside(arm: ArmConfig, file: str) -> Path:
-    """A path of the arm file: relative to its folder; on the command line, and for rtarm's own arms, to this one."""
+    """A path from an arm file, relative to its folder; for the command line and rtarm's own arms, to this one."""
     source = arm.source
     if source is None or source.built_in or "gripper.hook" in source.overridden:
         return Path(file)
@@ -41,13 +41,13 @@ def beside(arm: ArmConfig, file: str) -> Path:
 
 
 def load_class(path: Path, name: str) -> Callable[[GripperConfig], Any]:
-    """A class of a Python file, without side effects on what can be imported; raises CannotServe."""
+    """Load a class from a Python file without changing the import path; raises CannotServe."""
     if not path.is_file():
         raise CannotServe(f"gripper.hook names {path}, which is no file: correct it, or put the file there.")
     spec = importlib.util.spec_from_file_location(f"rtarm_gripper_{path.stem}", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look there
+    sys.modules[spec.name] = module  # dataclasses look up their module there
     try:
         spec.loader.exec_module(module)
     except Exception as problem:

@@ -1,6 +1,6 @@
 # mypy: allow-untyped-calls
 # (rclpy annotates some of its functions and leaves the others untyped)
-"""What ROS is offered of the gripper: two actions, its services, its joint in /joint_states.
+"""The gripper's ROS interfaces: two actions, its services, its joint in /joint_states.
 
 Names are those that MoveIt's controllers and the full node's clients expect. Callbacks run in the executor's thread
 and never wait; the gripper's own thread fulfils the futures that goals and services await.
@@ -35,7 +35,7 @@ from sentences.told import outcome_sentence
 from shm.words import Outcome
 
 SERVO_LOWEST_DEG, SERVO_HIGHEST_DEG = 0, 110
-"""What `servo_gripper` clamps its angle to, as in the full node."""
+"""The range to which `servo_gripper` clamps its angle, as in the full node."""
 WITHOUT_SERVICES = "robot_arm_interfaces is not installed, so gripper_control and servo_gripper are not offered."
 HANG_EVERY_S = 1.0
 _STATUS = {Ended.REACHED: Status.SUCCEEDED, Ended.STALLED: Status.SUCCEEDED, Ended.CANCELED: Status.CANCELED}
@@ -47,7 +47,7 @@ class GripperServer:
     def __init__(
         self, node: Node, executor: SingleThreadedExecutor, arm: ArmConfig, serving: Serving, counts: Counts
     ) -> None:
-        """Raises rosfront.program.CannotServe when the hook named by the arm file cannot be had."""
+        """Raises rosfront.program.CannotServe when the hook named by the arm file cannot be loaded."""
         assert arm.gripper is not None
         self._config = arm.gripper
         self._executor = executor
@@ -99,12 +99,12 @@ class GripperServer:
         return not self._waiting and all(server.quiet for server in self._servers)
 
     def close(self, patience_s: float) -> None:
-        """Stop what moves and end; its clients hear of it."""
+        """Stop a running motion, send its client the result, and end."""
         self.worker.close(patience_s)
-        self._give_up("The ROS process was stopped.")  # of a hook that hangs, or that came after its end
+        self._give_up("The ROS process was stopped.")  # motions of a hanging hook, or begun after the worker's end
 
     def _end_what_hangs(self) -> None:
-        """A hook that does not return leaves its clients without an answer otherwise."""
+        """End the motions of a hook that does not return; otherwise their clients would get no answer."""
         sentence = self.worker.hang()
         if sentence:
             self._give_up(sentence)
@@ -156,7 +156,7 @@ class GripperServer:
     # --- the actions
 
     def _consider(self, goal: Any, asked: Callable[[Any], tuple[float, float]]) -> GoalResponse:
-        """As everywhere: a bad goal is accepted to be told why in the log, or rejected with `strict_reject`."""
+        """As for the arm: a bad goal is accepted and aborted with the reason, or rejected with `strict_reject`."""
         if self._strict:
             try:
                 asked(goal)
@@ -172,7 +172,7 @@ class GripperServer:
             target_rad, max_effort = asked(handle.request)
         except GoalRefused as reason:
             return refused(reason)
-        if handle.is_cancel_requested:  # taken in one turn with its goal, when nothing could be stopped yet
+        if handle.is_cancel_requested:  # the cancel was taken together with its goal, before there was a motion to stop
             return Verdict(Status.CANCELED, 0, "Canceled before the gripper had begun to move.")
 
         def feedback(reading: Reading) -> None:
@@ -249,13 +249,13 @@ class GripperServer:
     # --- the services
 
     async def _control(self, request: Any, response: Any) -> Any:
-        """On closes it, off opens it."""
+        """Close the gripper if `enable` is set, else open it."""
         end = await self._carry_out(self._config.closed_rad if request.enable else self._config.open_rad)
         response.success, response.message = end.succeeded, end.sentence
         return response
 
     async def _servo(self, request: Any, response: Any) -> Any:
-        """To an angle, which is clamped; the answer tells where it really is."""
+        """Move to an angle, which is clamped; the answer contains the angle that was reached."""
         config = self._config
         angle_deg = min(max(request.angle, SERVO_LOWEST_DEG), SERVO_HIGHEST_DEG)
         angle_rad = min(max(math.radians(angle_deg), config.lower_rad), config.upper_rad)
@@ -271,14 +271,14 @@ class GripperServer:
         return response
 
     async def _home(self, _: Any, response: Any) -> Any:
-        """Let it find out where it is."""
+        """Home the gripper."""
         end = await self._carry_out(None)
         response.success, response.message = end.succeeded, end.sentence
         return response
 
 
 def _obeys_effort(config: GripperConfig) -> bool:
-    """Whether an effort means something to the hook; one's own may know what to do with it."""
+    """Whether the hook obeys an effort; a user's own hook may do so."""
     if OWN_HOOK.fullmatch(config.hook):
         return True
     return config.servo is not None and config.servo.nm_per_ampere is not None

@@ -1,4 +1,4 @@
-"""The servo on the arm's bus, which the control process speaks to: requests there, its record back."""
+"""The servo on the arm's bus, which the control process drives: requests go there, its published record comes back."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from sentences.told import grip_trouble_sentence
 from shm.words import GripTrouble, Request
 
 TAKEN_WITHIN_S = 3.0
-"""For an order until the drive has it; a silent one is asked for a second or two."""
+"""Time for a command to reach the drive; the control process asks a silent drive for a second or two."""
 SHOWN_WITHIN_S = 3.0
 NOT_YET = "The gripper has not been looked at yet: wait for the drives to be brought up."
 
 
 class ServoGripper:
-    """The gripper's drive, through the control process: that one judges stalls, and stops pushing even without us."""
+    """The gripper's drive, through the control process, which judges stalls and stops the push even without us."""
 
     def __init__(self, serving: Serving) -> None:
         self._serving = serving
@@ -35,15 +35,15 @@ class ServoGripper:
         self._ask(Request.GRIP, position_rad, max_effort)
 
     def stop(self) -> None:
-        """It then holds where it is."""
+        """Stop; the gripper then holds where it is."""
         self._ask(Request.GRIP_STOP)
 
     def home(self) -> None:
-        """The drive's own run to its stop."""
+        """Begin the drive's own homing run to its stop."""
         self._ask(Request.GRIP_HOME)
 
     def read(self) -> Reading:
-        """What the control process shows of it."""
+        """What the control process publishes about the gripper."""
         refusal, self._refusal = self._refusal, ""
         if refusal:
             self._order = 0
@@ -63,7 +63,7 @@ class ServoGripper:
         return self._reading(shown)
 
     def close(self) -> None:
-        """The control process goes on holding it."""
+        """Nothing to do: the control process goes on holding the gripper."""
 
     def _ask(self, kind: Request, value: float = 0.0, effort: float = 0.0) -> None:
         self._refusal = ""
@@ -71,7 +71,7 @@ class ServoGripper:
         self._order = self._serving.request(kind, self._answered, value=value, effort=effort)
 
     def _answered(self, done: bool, sentence: str) -> None:
-        """In another thread."""
+        """Called by `Serving.request`, usually in another thread."""
         if not done:
             self._refusal = sentence
 

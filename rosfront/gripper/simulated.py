@@ -1,4 +1,4 @@
-"""A gripper that is not there: it moves at its speed, and stops at what `options.object_deg` puts in its way."""
+"""A simulated gripper: it moves at its speed, and stops at an object that `options.object_deg` puts in its way."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ class SimulatedGripper:
         self._object_rad = math.radians(thing)
 
     def move(self, position_rad: float, max_effort: float) -> None:
-        """At the arm file's speed, whatever the effort."""
+        """Move at the arm file's speed, whatever the effort."""
         here_rad = self.read().position_rad
         if position_rad < here_rad:
             position_rad = min(here_rad, max(position_rad, self._object_rad))
         self._from_rad, self._to_rad, self._since_s = here_rad, position_rad, self._clock_s()
 
     def stop(self) -> None:
-        """At once."""
+        """Stop at once."""
         self._from_rad = self._to_rad = self.read().position_rad
 
     def read(self) -> Reading:
-        """Exactly where it is."""
+        """The exact position and velocity."""
         way_rad = self._to_rad - self._from_rad
         gone_rad = min(abs(way_rad), self._speed_rad_s * (self._clock_s() - self._since_s))
         velocity_rad_s = self._speed_rad_s if gone_rad < abs(way_rad) else 0.0
         return Reading(self._from_rad + math.copysign(gone_rad, way_rad), math.copysign(velocity_rad_s, way_rad))
 
     def close(self) -> None:
-        """Nothing was opened."""
+        """Nothing to do, since nothing was opened."""

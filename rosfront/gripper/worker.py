@@ -1,9 +1,9 @@
-"""The gripper's thread: it alone calls the hook, and every motion gets exactly one end from it.
+"""The gripper's thread: it alone calls the hook, and it ends every motion once, unless the hook hangs.
 
-A hook may take its time, or hang; that holds up nothing but the gripper. Motions come from any thread, a newer one
-replaces an older one, and a motion ends: reached, stalled, canceled, replaced, in trouble, or too late. A hook that
-does not return keeps this thread from ending them: then somebody else gives them up (`hang`), and when it does return
-they are not begun.
+A hook may take its time, or hang; that delays nothing but the gripper. Motions come from any thread, and a newer one
+replaces an older one. A motion ends as reached, stalled, canceled, replaced, in trouble, or too late. A hook that does
+not return keeps this thread from ending motions. Then the server gives them up (`hang`), and they are not begun when
+the hook does return.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ MOVING_PERIOD_S = 0.05
 RESTING_PERIOD_S = 0.1
 TROUBLE_PERIOD_S = 1.0
 STALE_S = 1.0
-"""A reading older than this says nothing of where the gripper is."""
+"""A reading older than this no longer counts as the gripper's position."""
 STAND_WITHIN_S = 2.0
-"""For a gripper that was told to stop."""
+"""Time for a gripper to come to rest after a stop."""
 LATE_S = 10.0
-"""A motion may take three times what the whole range takes at its speed, and this."""
+"""A motion may take this, plus three times what the whole range takes at the gripper's speed."""
 HOMED_WITHIN_S = 120.0
 HANGS_AFTER_S = 10.0
-"""A hook that has not returned for so long hangs."""
+"""A hook that has not returned for so long counts as hanging."""
 CLOSING = "The ROS process was stopped before the gripper had come to its end; it was told to hold."
 NEVER_READ = "The gripper has not been read yet."
 
@@ -54,21 +54,21 @@ class End:
 
     how: Ended
     reading: Reading | None
-    """Where it was then; None where nothing could be read."""
+    """The newest reading at that time; None where nothing could be read."""
     sentence: str
 
     @property
     def succeeded(self) -> bool:
-        """Whether it did what was asked: it is there, or holds what is in between."""
+        """Whether the motion did what was asked: the gripper is at its target, or holds an object in between."""
         return self.how in (Ended.REACHED, Ended.STALLED)
 
 
 @dataclass(eq=False)
 class Motion:
-    """A wish, until `on_end` hears of its end, once, from the gripper's thread; `on_reading` hears of its way."""
+    """A requested motion; `on_reading` and, once it has ended, `on_end` are called in the gripper's thread."""
 
     target_rad: float | None
-    """None: find out where it is (homing)."""
+    """None: home."""
     max_effort: float
     on_end: Callable[[End], None]
     on_reading: Callable[[Reading], None] = lambda _: None
@@ -77,12 +77,12 @@ class Motion:
     until_s: float = math.inf
     canceled_s: float = 0.0
     given_up: threading.Event = field(default_factory=threading.Event)
-    """Set by another thread that has told of its end while the hook hung."""
+    """Set by another thread, which has called `on_end` because the hook hung."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """The newest state, for others to look at."""
+    """The newest state, for other threads to read."""
 
     reading: Reading | None
     grip: Grip
@@ -99,7 +99,7 @@ class GripperWorker(threading.Thread):
         warn: Callable[[str], None],
         inform: Callable[[str], None],
     ) -> None:
-        """`make` opens the hook, again after it has failed; `warn` is told of a trouble, `inform` of its end."""
+        """`make` opens the hook; it is tried again after an exception. `warn` logs a trouble, `inform` its end."""
         super().__init__(name="gripper", daemon=True)
         self._config = config
         self._make = make
@@ -117,20 +117,20 @@ class GripperWorker(threading.Thread):
     # --- from any thread
 
     def begin(self, motion: Motion) -> None:
-        """Carry it out; it replaces the one that runs."""
+        """Carry out a motion; it replaces the running one."""
         self._works.put(lambda: self._begin(motion))
 
     def cancel(self, motion: Motion) -> None:
-        """Stop it, if it still runs."""
+        """Stop a motion, if it still runs."""
         self._works.put(lambda: self._cancel(motion))
 
     def close(self, patience_s: float) -> None:
-        """Stop what moves, close the hook and end; a hook that hangs is left behind."""
+        """Stop a running motion, close the hook and end, within `patience_s`; a hook that hangs is left behind."""
         self._works.put(self._leave)
         self.join(patience_s)
 
     def hang(self) -> str:
-        """The sentence about a hook that does not return, else nothing."""
+        """A sentence, which is shown too, when the hook does not return; else an empty text."""
         if time.monotonic() - self._called_s < HANGS_AFTER_S:
             return ""
         sentence = (
@@ -151,7 +151,7 @@ class GripperWorker(threading.Thread):
     # --- in the thread
 
     def run(self) -> None:
-        """Until `close`: do what is asked, then look where the gripper is."""
+        """Until `close`: do what is asked, then read the gripper."""
         while not self._leaving:
             try:
                 work = self._works.get(timeout=self._pause_s())
@@ -178,7 +178,7 @@ class GripperWorker(threading.Thread):
         self._motion = motion
         hook = self._opened()
         if hook is None:
-            return  # said, and ended, by then
+            return  # `_opened` has reported it and ended the motion
         try:
             if motion.target_rad is None:
                 self._home(hook, motion)
@@ -259,7 +259,7 @@ class GripperWorker(threading.Thread):
         return reading._replace(measured_ns=min(reading.measured_ns, now_ns) if reading.measured_ns else now_ns)
 
     def _checked(self, found: Any) -> Reading:
-        """What a hook has returned, each field of its kind: other threads, that of /joint_states too, rely on that."""
+        """A hook's reading, each field converted to its type: other threads, such as the publisher's, rely on that."""
         try:
             position, velocity, effort, grip, trouble, measured_ns = found
             return Reading(
@@ -277,7 +277,7 @@ class GripperWorker(threading.Thread):
             ) from problem
 
     def _follow(self, hook: Gripper, reading: Reading) -> None:
-        """What a reading says of the motion that runs."""
+        """Show a reading, and report or end the running motion by it."""
         motion, before, self._before = self._motion, self._before, reading
         grip = self._judged(motion, reading, before)
         known = math.isfinite(reading.position_rad)
