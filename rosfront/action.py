@@ -374,9 +374,10 @@ class GoalServer:
             self._has_spun.set()
 
     def leave(self, patience_s: float, give_up: Callable[[], None]) -> None:
-        """Wait until `spin` has returned; call in another thread. After `patience_s`, `give_up` must end every goal.
+        """Wait until `spin` has returned; call in another thread.
 
-        No goal is taken from then on, and a client that has no result `RESULT_GRACE_S` later gets none.
+        If it has not after `patience_s`, `give_up` is called, which must end every goal. No goal is taken from then on,
+        and a client that has no result `RESULT_GRACE_S` later gets none.
         """
         self.closing = True
         self._executor.create_task(lambda: None)  # wakes `spin`, which may wait without timeout

@@ -18,7 +18,10 @@ from rclpy.qos import QoSProfile
 
 
 class Apart(CallbackGroup):
-    """A callback group that the executor skips; events of a subscription alone would wake it at every message."""
+    """A callback group that the executor skips.
+
+    It holds the events of a subscription, too: if the executor had only these, every message would wake it.
+    """
 
     def can_execute(self, entity: Any) -> bool:
         return False

@@ -51,7 +51,7 @@ OFF_WITHIN = 1.2e-7  # the spacing of single-precision numbers near 1, which ups
 ENTER_WITHIN = 0.8
 """Share of the start tolerance within which an entry must lie, because the plan moves on until it is entered."""
 LOOK_BACK_S = 60.0
-"""How far back an earlier entry is searched for: no client waits any more for a goal that is later."""
+"""How far back an earlier entry is searched for: no client still waits for a goal that is later than this."""
 ENTRIES_A_CHUNK = 4096
 WAYPOINTS_AHEAD = 4000
 """The control process sees 4096 waypoints ahead; this many must span the path time of the longest stop."""

@@ -43,7 +43,7 @@ def attach(arm: ArmConfig) -> Link:
     that name may still be that of a dead control process; then NotRunning is raised.
 
     Raises shm.errors.NotRunning while there is no control process, AlreadyHeld when another front serves
-    the arm, WrongLayout, WrongArm or NotPermitted when the files cannot be ours.
+    the arm, WrongLayout, WrongArm or NotPermitted when the files do not fit or may not be opened.
     """
     identity = arm_hash(arm)
     undo: list[Callable[[], None]] = []

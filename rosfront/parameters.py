@@ -3,7 +3,7 @@
 """The node's parameters: upstream's names where they mean the same, and every refusal a sentence.
 
 The arm file sets the defaults, `--ros-args -p name:=value` changes them for one start, and `ros2 param set` while the
-node runs. The tolerances of a goal are fixed when it is taken. Therefore tolerances cannot be changed while a goal
+node runs. The tolerances of a goal are fixed when it is checked. Therefore tolerances cannot be changed while a goal
 runs, which would suggest otherwise. rclpy's own refusals name neither the value nor a remedy, so this node checks
 first.
 """

@@ -233,8 +233,8 @@ class Serving:
     def present(self, *, for_own_move: bool = False) -> Present:
         """The arm's commanded state; raises NotServing with the reason when no goal can be taken now.
 
-        Another server of the action is a reason, since it gets every goal too. It is none `for_own_move`, which no
-        client has sent.
+        Another server of the action is such a reason, since it gets every goal too. `for_own_move` ignores it, since no
+        client has sent that move.
         """
         if self.other_server and not for_own_move:
             raise NotServing(self.other_server)

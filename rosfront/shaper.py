@@ -184,7 +184,7 @@ class _Maker:
         A quintic that removes d rad and w rad/s within T accelerates by at most 5.8 d / T² and 3.9 w / T.
         """
         if self._present.standing and self._earlier is None and self.wanted.start_ns >= self._present.monotonic_ns:
-            return True  # it waits for the arm or the arm for it, and how it begins was judged
+            return True  # from rest, now or later: the start, or the way to the first point, was checked before
         target = self._targets(np.array([self._from_ns]))
         push = 5.8 * np.abs(target.position - self._from.position) / BLEND_S**2
         push += 3.9 * np.abs(target.velocity - self._from.velocity) / BLEND_S

@@ -172,7 +172,7 @@ def differences(wanted: Sequence[float], found: Sequence[float]) -> list[float]:
 
 
 class Progress:
-    """How long the goal has been running in real time, however the speed scale slows its trajectory clock."""
+    """How long the goal has been running in wall-clock time, however the speed scale slows its trajectory clock."""
 
     def __init__(self) -> None:
         self._goal = 0

@@ -136,7 +136,7 @@ class Moves:
             raise Unreachable(self._no_inverse)
         return self._inverse
 
-    # --- what is told ---
+    # --- what clients are told ---
 
     def motor_deg(self, positions_rad: np.ndarray) -> list[float]:
         """Motor-side angles (degrees) of joint angles (6,)."""

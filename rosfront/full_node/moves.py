@@ -168,7 +168,7 @@ class Line:
         return f"at {math.degrees(share * self.turn_rad):.1f}° of its {math.degrees(self.turn_rad):.1f}° ({share:.0%})"
 
     def trajectory(self, step_m: float) -> Trajectory:
-        """The highest constant speed that the joints' limits allow all along; waypoints at most `step_m` apart."""
+        """At the highest constant speed that the joints' limits allow all along; waypoints at most `step_m` apart."""
         if self.length_m == 0.0 and self.turn_rad == 0.0:
             return _trajectory(self._arm, np.zeros(1), self._start_rad[np.newaxis], *np.zeros((2, 1, 6)))
         slopes = self._slopes(self._angles_rad)

@@ -1,1 +1,1 @@
-"""The gripper's half of the ROS process: a small hook that moves it, and what ROS is offered of it."""
+"""The gripper's part of the ROS process: a small hook that moves it, and its ROS interfaces."""

@@ -33,7 +33,7 @@ def hook_of(arm: ArmConfig, gripper: GripperConfig, serving: Serving) -> Callabl
 
 
 def beside(arm: ArmConfig, file: str) -> Path:
-    """A path from an arm file, relative to its folder; for the command line and rtarm's own arms, to this one."""
+    """A path of an arm file, relative to its folder; on the command line and for built-in arms, to the current one."""
     source = arm.source
     if source is None or source.built_in or "gripper.hook" in source.overridden:
         return Path(file)

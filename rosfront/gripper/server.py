@@ -156,7 +156,7 @@ class GripperServer:
     # --- the actions
 
     def _consider(self, goal: Any, asked: Callable[[Any], tuple[float, float]]) -> GoalResponse:
-        """As for the arm: a bad goal is accepted and aborted with the reason, or rejected with `strict_reject`."""
+        """As for the arm: a bad goal is accepted and aborted, the reason logged, or rejected with `strict_reject`."""
         if self._strict:
             try:
                 asked(goal)

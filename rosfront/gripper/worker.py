@@ -65,7 +65,7 @@ class End:
 
 @dataclass(eq=False)
 class Motion:
-    """A requested motion; `on_reading` and, once it has ended, `on_end` are called in the gripper's thread."""
+    """A requested motion; `on_reading` is called with readings, `on_end` once with its end, in the gripper's thread."""
 
     target_rad: float | None
     """None: home."""
