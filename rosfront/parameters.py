@@ -233,10 +233,11 @@ class CheckedNode(Node):
             return SetParametersResult(successful=False, reason=str(problem))
         result = super().set_parameters_atomically(admitted)
         if result.successful:
+            settings = self._serving.settings
             for parameter in admitted:
                 if parameter.name in self._rules:
-                    rule = self._rules[parameter.name]
-                    self._serving.settings = rule.adopt(self._serving.settings, parameter.value)
+                    settings = self._rules[parameter.name].adopt(settings, parameter.value)
+            self._serving.settings = settings  # once: a goal that is checked meanwhile sees all of it or none
         return result
 
     def _admitted(self, parameter: Parameter) -> Parameter:

@@ -163,6 +163,16 @@ def test_a_set_of_parameters_is_taken_as_a_whole_or_not_at_all(node_with):
     assert node.get_parameter("constraints.goal_time").value == 5.0
 
 
+def test_who_checks_a_goal_meanwhile_sees_all_of_a_set_or_nothing_of_it(node_with, monkeypatch):
+    node, _ = node_with()
+    seen = []
+    kept = property(lambda _serving: Settings.of(ARM), lambda _serving, settings: seen.append(settings))
+    monkeypatch.setattr(Serving, "settings", kept, raising=False)
+    tolerances = [Parameter(f"constraints.joint{joint}.goal", value=0.5) for joint in (1, 2, 3)]
+    assert node.set_parameters_atomically(tolerances).successful
+    assert [tuple(settings.goal_tolerance_rad[:3]) for settings in seen] == [(0.5, 0.5, 0.5)]
+
+
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
