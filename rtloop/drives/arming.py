@@ -1,7 +1,7 @@
-"""Proof of power (`rtloop.drives.power`) for drives that a command arms, and power does not.
+"""Proof of power (`rtloop.drives.power`) for drives that only a command arms: they do not arm when power comes.
 
-The mark of such a drive says that rtarm has armed it, having found it otherwise: it does not do so by itself. It is
-taken away before a drive is armed anew, so one that has it and is armed has not been without power since.
+The mark of such a drive says that rtarm found it disarmed and has armed it, so that it does not arm by itself. The mark
+is removed before the drive is armed anew. So a drive that has the mark and is armed has had power ever since.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from rtloop.service.conversation import Part
 
 ARMED = "armed by rtarm"
 Look = Callable[[], Part[bool | None]]
-"""Asks a drive whether it is armed; None where it does not say."""
+"""Asks a drive whether it is armed; None if it does not answer that."""
 
 
 def stayed_armed(host: PowerHost, joint: int, look: Look) -> Part[bool]:
@@ -23,29 +23,35 @@ def stayed_armed(host: PowerHost, joint: int, look: Look) -> Part[bool]:
 
 
 class Arming:
-    """What the bring-up of a drive sees, and does, of its being armed."""
+    """Keeps track, during the bring-up of a drive, of whether it is armed and who armed it."""
 
     def __init__(self, host: Host, joint: int, look: Look) -> None:
         self._host, self._joint, self._look = host, joint, look
         self._anew = False
 
     def found(self, armed: bool) -> Part[bool]:
-        """Whether the drive is armed, as it was just seen; of one that may prove by it, as two looks agree."""
+        """Whether the drive is armed.
+
+        That is `armed`, as it was just read; if it may become a proof of power, it is what two readings agree on.
+        """
         if not self._host.was_silent[self._joint] or self._host.marks.borne(self._joint) is None:
             return armed
         agreed = yield from surely(self._look)
         return armed if agreed is None else agreed
 
     def begins(self) -> None:
-        """The drive is armed next: however this bring-up ends, that it is so will prove nothing of the time before."""
+        """Remove the drive's mark, as it is about to be armed; raises DialogueFailed if it may not be enabled.
+
+        However this bring-up ends, an armed drive then proves nothing about the time before.
+        """
         require_may_enable(self._host, self._joint)
         self._anew = True
         self._host.marks[self._joint] = None
 
     def kept_power(self) -> Part[bool]:
-        """Whether the drive proves that it had power in its silence; its mark is settled.
+        """Whether the drive proves that it had power during its silence; records its mark.
 
-        The last question of a bring-up, so that it speaks for all that was read before.
+        To be the last question of a bring-up, so that the proof covers everything that was read before.
         """
         host, joint = self._host, self._joint
         if self._anew:

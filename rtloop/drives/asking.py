@@ -1,4 +1,4 @@
-"""Questions to drives that answer in one frame: what is said, and how the answer is known."""
+"""Requests to drives that answer in one frame: what is sent, and how the answer is recognised."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from rtloop.service.port import Frame
 
 @dataclass(frozen=True)
 class AskFrames:
-    """Frames that leave together, and how to know the answer; `rtloop.service.conversation.Question`.
+    """Frames that are sent together, and a test for the answer; a `rtloop.service.conversation.Question`.
 
-    With no frames it is a question what the drive says by itself.
+    Without frames nothing is sent, and it waits for a frame that the drive sends by itself.
     """
 
     frames: tuple[Frame, ...]
@@ -20,21 +20,21 @@ class AskFrames:
     answered: bool = True
 
     def packets(self, first: bool) -> list[Packet]:
-        """What is said, the first time or again."""
+        """The frames to send, at the first try and at every retry."""
         return [(frame, number < len(self.frames) - 1) for number, frame in enumerate(self.frames)]
 
     def receive(self, frame: Frame, last_try: bool) -> Frame | None:
-        """The frame, if it is the answer."""
+        """The frame if it is the answer, else None."""
         return frame if self.is_answer(frame) else None
 
 
 def say(*frames: Frame) -> AskFrames:
-    """Frames that nothing answers."""
+    """A command without an answer: its frames are sent once."""
     return AskFrames(frames, lambda frame: False, answered=False)
 
 
 def surely(read: Callable[[], Part[Value | None]]) -> Part[Value | None]:
-    """What two answers in a row tell, for who decides by it: one alone may be garbled. None where no two agree."""
+    """Read until two answers in a row agree, for decisions: a single answer may be garbled. None if no two agree."""
     before = yield from read()
     for _ in range(TRIES):
         found = yield from read()
@@ -45,9 +45,10 @@ def surely(read: Callable[[], Part[Value | None]]) -> Part[Value | None]:
 
 
 def confirmed(read: Callable[[], Part[Value]], within: float, place: Callable[[Any], float] = float) -> Part[Value]:
-    """A place that was read twice in a row: a serial line has no checksum, and a drive is told to be there.
+    """Read a position until two readings in a row agree within `within`.
 
-    One that moves so fast that no two readings agree is where it was read last. `place` is that of a reading.
+    The drive will be commanded to be there, and a serial line has no checksum. If a drive moves so fast that no two
+    readings agree, the last reading counts. `place` gives the position in a reading.
     """
     before = yield from read()
     for _ in range(TRIES):

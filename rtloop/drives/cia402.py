@@ -1,9 +1,9 @@
-"""CiA 402 in the cycle, in cyclic synchronous position: a target each, one SYNC for all, an answer from each.
+"""CiA 402 in the cycle, in cyclic synchronous position mode: a target to each drive, one SYNC, an answer from each.
 
-Protocol facts (CiA 301 and 402): standard identifiers, a base and the node's number; little-endian. RPDO1 (200) holds
-controlword and target position, and takes effect with the next SYNC (080), with which every drive also tells statusword
-and position (and torque) as TPDO1 (180). The drive goes in a straight line from target to target, each of them reached
-as long after its SYNC as its interpolation time says (60C2, the cycle's period), which is when the next one comes.
+Protocol facts (CiA 301 and 402): standard identifiers, a base plus the node's number; little-endian. RPDO1 (200) holds
+controlword and target position, and takes effect with the next SYNC (080). At each SYNC every drive also sends its
+statusword and position (and torque) as TPDO1 (180). The drive moves in a straight line from target to target and
+reaches each one an interpolation time (60C2, the cycle's period) after its SYNC, which is when the next SYNC comes.
 Emergencies (080) hold an error code, heartbeats (700) the node's state.
 """
 
@@ -41,15 +41,15 @@ ERROR_MEANINGS = code_meanings(ERRORS)
 
 @jit
 def target_data(counts: int) -> int:
-    """Data of RPDO1: the controlword of an enabled drive, and a target."""
+    """Data of RPDO1: the controlword of an enabled drive, and a target in counts."""
     return ENABLE_OPERATION | (counts & 0xFFFFFFFF) << 16
 
 
 @jit
 def setpoint_rad(loop: Loop, joint: int) -> float:
-    """Where the joint is due when the drive has reached this cycle's target: a period after this cycle's SYNC.
+    """Where the joint should be when the drive reaches this cycle's target, a period after this cycle's SYNC (rad).
 
-    The next setpoint is due a period after the cycle's start, and the SYNC arrives `command_delay_s` behind that.
+    The next setpoint is due a period after the start of the cycle; the SYNC arrives `command_delay_s` after that start.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
     behind_s = row.command_delay_s
@@ -62,6 +62,7 @@ def setpoint_rad(loop: Loop, joint: int) -> float:
 
 @jit
 def send_target(loop: Loop, joint: int, shared: Shared, position_rad: float, stops: int) -> bool:
+    """Send a target of the joint as RPDO1; `stops` as in `outgoing.put`. False if the transmit buffer has no room."""
     row = loop.joints[joint]
     counts = words.bounded((position_rad + row.zero_rad) * row.command_per_rad, HIGHEST_COUNT)
     frame_id = RPDO1 + row.address
@@ -70,6 +71,7 @@ def send_target(loop: Loop, joint: int, shared: Shared, position_rad: float, sto
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    """Send the target of this cycle; a drive that got no targets for a while catches up gradually."""
     target_rad = setpoint_rad(loop, joint)
     target_rad -= following.still_behind_rad(loop, joint, target_rad)
     if setpoint_check.may_be_sent(loop, shared, joint, target_rad):
@@ -78,10 +80,10 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """Hold where it is measured; a quick stop may let it go, which its option code 605A decides.
+    """Command the drive to hold its measured position; a quick stop may switch its torque off (option code 605A).
 
-    Without a target it stands at its last one. So nothing is told to a drive whose last reading is old or in doubt,
-    since it would jump there, nor to one that has said that it holds nothing, since every target enables.
+    Without new targets the drive stands at its last one. So nothing is sent if the last reading is old or in doubt,
+    because the drive would jump there, nor to a drive that has reported that it is disabled, because a target enables.
     """
     axis = loop.axes[joint]
     limp = axis.drive.status & status_bits.ANSWERED != 0 and axis.drive.status & status_bits.ENABLED == 0
@@ -93,7 +95,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
 
 @jit
 def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
-    """One SYNC a cycle asks all drives of the family, led or not."""
+    """Send a SYNC, once a cycle: all drives of the family answer it with their position, with a new target or not."""
     if loop.bus.sync_cycle != loop.timing.cycle:
         if not outgoing.send(loop, shared, SYNC, STANDARD, 0, 0):
             return
@@ -103,24 +105,25 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
-    """Its status comes with every position."""
+    """Send nothing: the status comes with every position."""
 
 
 @jit
 def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
-    """Conversations let it stand by other means."""
+    """Service dialogues stop the drive by other means."""
     return False
 
 
 @jit
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
-    """Conversations ask for objects, which are none of the cycle's."""
+    """Do nothing: service dialogues transfer objects, whose answers hold no position for the cycle."""
 
 
 @jit
 def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
+    """Store position, status and torque of TPDO1, the error code of an emergency, or a heartbeat out of operation."""
     row, axis = loop.joints[joint], loop.axes[joint]
     base = frame_id - row.address
     if base == TPDO1 and length == row.position_bytes:
@@ -141,7 +144,7 @@ def receive(
 
 @jit
 def common_status(statusword: int, error_code: int) -> int:
-    """Statusword, and the error code that an emergency told, in common bits."""
+    """Statusword and the error code of the last emergency, in common bits (`memory.status`)."""
     if statusword & FAULT_MASK == FAULT or statusword & FAULT_MASK == FAULT_REACTION:
         return status_bits.PROTECTED | words.meaning_of_code(error_code, ERROR_MEANINGS)
     return status_bits.ENABLED if statusword & STATE_MASK == OPERATION_ENABLED else 0

@@ -1,15 +1,15 @@
-"""Bring-up and release of a CiA 402 drive over CANopen; what the cycle's frames are is said in `rtloop.drives.cia402`.
+"""Bring-up and disabling of a CiA 402 drive over CANopen; `rtloop.drives.cia402` describes the frames of the cycle.
 
-All of it is service data (SDO) and two orders to the node (NMT), and all of it is volatile: nothing is stored in the
-drive. What is as it should be is not written.
+Bring-up uses service data (SDO) and two commands to the node (NMT), and changes volatile memory only: nothing is stored
+in the drive. A value that is as it should be is not written.
 
-A drive that holds its joint is never let go: its node is not taken out of operation, since the drive may then let go
-(6007); what must be mapped otherwise is mapped in operation, and where the drive refuses that, a sentence says what a
-person can do. One that is on its way in another mode is halted first. One that holds nothing is taken out of operation,
-told what its process data are, and enabled state by state with its target where it stands.
+A drive that holds its joint keeps its torque. So its node stays operational, because the drive may switch its torque
+off when the node leaves that state (6007). Its PDOs are remapped while it is operational; if the drive refuses that, a
+sentence tells the operator what to do. If it moves in another mode, it is halted first. A drive that holds nothing is
+taken out of operation if it must be remapped, and then enabled state by state with its target at its measured position.
 
-Silence of the host is to end in a drive that holds. So whatever would make it fail in silence is taken back: monitoring
-of the host's heartbeat (1016), and what it does when its connection is lost (6007).
+When the host falls silent, the drive shall hold. So two settings that would make it fail then are turned off:
+monitoring of the host's heartbeat (1016), and the reaction to a lost connection (6007).
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ from shm.words import Unreferenced
 __all__ = ["EMERGENCY", "HEARTBEAT", "HIGHEST_COUNT", "RPDO1", "RPDO1_BYTES", "SYNC", "TPDO1"]
 
 START_NODE, ENTER_PRE_OPERATIONAL = 0x01, 0x80
-"""Orders to a node (NMT)."""
+"""Commands to a node (NMT)."""
 BOOT_UP, OPERATIONAL = 0x00, 0x05
-"""States of a node, as its heartbeat tells them."""
+"""States of a node in its heartbeat."""
 
 SHUT_DOWN, SWITCH_ON, ENABLE_OPERATION = 0x06, 0x07, 0x0F
 NO_VOLTAGE, FAULT_RESET, HALT = 0x00, 0x80, 0x010F
-"""Controlwords (6040); a fault is reset by the rising edge of bit 7, HALT is an enabled drive's."""
+"""Controlwords (6040); the rising edge of bit 7 resets a fault; HALT keeps an enabled drive enabled."""
 
 STATE_MASK, FAULT_MASK = 0x6F, 0x4F
 NOT_READY, SWITCH_ON_DISABLED, READY, SWITCHED_ON = 0x00, 0x40, 0x21, 0x23
@@ -97,14 +97,14 @@ MODES = Object(0x6502, 0, 4, "supported modes")
 RPDO1_OBJECTS = (0x6040_0010, 0x607A_0020)
 TPDO1_OBJECTS = (0x6041_0010, 0x6064_0020)
 TORQUE_OBJECT = 0x6077_0010
-"""What is mapped: index, sub-index and bits."""
+"""Mapped objects: index, sub-index and size in bits."""
 
 BUSY_S = 2.0
-"""Within which a drive goes from state to state, a brake that opens included."""
+"""Time within which a drive changes its state, opening of a brake included."""
 STANDING_COUNTS = 2
-"""Two readings of one that stands differ by no more."""
+"""Two readings of a drive at rest differ by no more than this."""
 FINEST_POWER, COARSEST_POWER, MOST_UNITS = -6, -2, 255
-"""Of an interpolation time: one byte of microseconds to one of hundredths of a second."""
+"""Limits of an interpolation time, which is one byte of units between microseconds and hundredths of a second."""
 
 ERRORS = (
     ErrorCode(0xF000, 0x1000, "a general error"),
@@ -132,7 +132,7 @@ ERRORS = (
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-    """What the cycle needs of a CiA 402 drive; see `rtloop.drives.setup.Setup`."""
+    """Write the parameters of a CiA 402 drive for the cycle; see `rtloop.drives.setup.Setup`."""
     drive = _drive(joint)
     row["position_bytes"] = drive.tpdo1_bytes
     row["command_delay_s"] = _sync_delay_s(arm, drive)
@@ -142,7 +142,7 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
-    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     node = Node(joint, config)
     yield from _is_a_drive(host, node)
@@ -173,13 +173,13 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
-    """What `rtloop.drives.setup.PowerProof` says."""
+    """See `rtloop.drives.setup.PowerProof.kept_power`."""
     node = Node(joint, host.arm.joints[joint])
     return (yield from stayed_armed(host, joint, lambda: _is_enabled(node)))
 
 
 def _is_enabled(node: Node) -> Part[bool | None]:
-    """Whether its operation is enabled; None where it does not say."""
+    """Whether the drive's operation is enabled; None if it does not answer that."""
     reply = yield reading(node.number, STATUSWORD)
     if reply is None or reply.data[0] == ABORT:
         return None
@@ -187,7 +187,7 @@ def _is_enabled(node: Node) -> Part[bool | None]:
 
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
-    """Shut the drive down, and then so far that no target enables it; raises DialogueFailed."""
+    """Shut the drive down, and then disable it so far that no target enables it; raises DialogueFailed."""
     node = Node(joint, arm.joints[joint])
     for word in (SHUT_DOWN, NO_VOLTAGE):
         yield from node.write(CONTROLWORD, word)
@@ -202,22 +202,22 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 
 def state_of(statusword: int) -> int:
-    """The state that a statusword tells; one that is none is NOT_READY."""
+    """The state in a statusword; NOT_READY if it holds none of the known states."""
     return next((value for mask, value, _ in STATES if statusword & mask == value), NOT_READY)
 
 
 def state_words(state: int) -> str:
-    """A state for people."""
+    """A state in words."""
     return next(words for _, value, words in STATES if value == state)
 
 
 def error_words(code: int) -> str:
-    """An error code (603F) for people."""
+    """An error code (603F) in words."""
     return f"{code_words(code, ERRORS) or 'none that is known'}, error code {code:04X}"
 
 
 def interpolation_time(period_s: float) -> tuple[int, int]:
-    """Objects 60C2:01 and 60C2:02 for a time: units and their power of ten, as coarse as they are exact."""
+    """Values of objects 60C2:01 and 60C2:02 for a time: units and their power of ten, the coarsest that is exact."""
     found = (MOST_UNITS, COARSEST_POWER)
     closest = math.inf
     for power in range(COARSEST_POWER, FINEST_POWER - 1, -1):
@@ -234,15 +234,15 @@ def _drive(config: JointConfig) -> Cia402Drive:
 
 
 def _sync_delay_s(arm: ArmConfig, drive: Cia402Drive) -> float:
-    """Time from the start of a cycle until its SYNC has ended, which all targets of the arm go before."""
+    """Time (s) from the start of a cycle until its SYNC has ended; all targets of the arm are sent before the SYNC."""
     targets = [frames for joint in arm.joints for frames in joint.drive.commands(arm.bus) if frames.from_host]
     return _through_s(arm, [*targets, *drive.for_all(arm.bus)])
 
 
 def _answer_delay_s(arm: ArmConfig, drive: Cia402Drive) -> float:
-    """Time from a drive's sampling at the SYNC until its answer has arrived, beside its own for processing.
+    """Time (s) from a drive's sampling at the SYNC until its answer has arrived, without the drive's processing time.
 
-    All answer at once, and the lowest node goes first.
+    All drives answer at once, and the lowest node number wins the bus.
     """
     drives = [joint.drive for joint in arm.joints if isinstance(joint.drive, Cia402Drive)]
     before = sorted((other for other in drives if other.node_id <= drive.node_id), key=lambda other: other.node_id)
@@ -250,7 +250,7 @@ def _answer_delay_s(arm: ArmConfig, drive: Cia402Drive) -> float:
 
 
 def _through_s(arm: ArmConfig, frames: Sequence[CycleFrames]) -> float:
-    """Time that frames take one after the other, over the bus and, at the same time, over the serial line (s)."""
+    """Time (s) that frames take, one after the other, over the bus and, at the same time, over the serial line."""
     found = budget(arm)
     byte_s = 0.0 if found.serial_baud is None else UART_BITS_PER_CHARACTER / found.serial_baud
     on_bus_s = [part.bits / arm.bus.bitrate for part in frames]
@@ -259,12 +259,12 @@ def _through_s(arm: ArmConfig, frames: Sequence[CycleFrames]) -> float:
 
 
 def _order(node: Node, order: int) -> Frame:
-    """An order to the node (NMT), which nothing answers."""
+    """A command to the node (NMT), which the node does not answer."""
     return Frame(NMT, bytes((order, node.number)), kind=STANDARD)
 
 
 def _is_a_drive(host: Host, node: Node) -> Part[None]:
-    """See that it answers and what it is. A node that was stopped does so only after it was started."""
+    """Check that the node answers and is a CiA 402 drive with CSP; a stopped node answers only once it is started."""
     name = node.config.name
     answer = yield reading(node.number, DEVICE_TYPE)
     if answer is None:
@@ -290,7 +290,7 @@ def _is_a_drive(host: Host, node: Node) -> Part[None]:
 
 
 def _sound_state(host: Host, node: Node) -> Part[int]:
-    """The drive's state, which is no fault; one is cleared only where a person has asked for that."""
+    """The drive's state, which is no fault: a fault is cleared if the operator asked for that, else it raises."""
     state = yield from _until(host.arm, node, lambda state: state not in (NOT_READY, FAULT_REACTION))
     if state not in (FAULT, FAULT_REACTION):
         return state
@@ -315,12 +315,12 @@ def _sound_state(host: Host, node: Node) -> Part[int]:
 
 
 def _looks(arm: ArmConfig, duration_s: float) -> int:
-    """Questions that take so long (s) or longer: each waits for a cycle at least."""
+    """Number of questions that take at least `duration_s`: each of them takes a cycle or more."""
     return math.ceil(duration_s * 1e9 / arm.control.period_ns)
 
 
 def _until(arm: ArmConfig, node: Node, wanted: Callable[[int], bool]) -> Part[int]:
-    """The drive's state once it is as wanted, or the last within a while."""
+    """Read the drive's state until it is as wanted, or for about BUSY_S; the last state."""
     state = state_of((yield from node.read(STATUSWORD)))
     for _ in range(_looks(arm, BUSY_S)):
         if wanted(state):
@@ -330,7 +330,7 @@ def _until(arm: ArmConfig, node: Node, wanted: Callable[[int], bool]) -> Part[in
 
 
 def _halt(arm: ArmConfig, node: Node) -> Part[None]:
-    """Let a drive that is led in another mode come to rest and hold."""
+    """Halt a drive that is enabled in another mode, so that it comes to rest and holds."""
     yield from node.write(CONTROLWORD, HALT)
     before = yield from node.read(POSITION)
     for _ in range(_looks(arm, arm.patience.drives_s)):
@@ -346,7 +346,7 @@ def _halt(arm: ArmConfig, node: Node) -> Part[None]:
 
 
 def _map(node: Node, drive: Cia402Drive, holds: bool) -> Part[None]:
-    """Let the drive hear and tell what the cycle says and wants, and no process data besides."""
+    """Map what the cycle sends into RPDO1 and what it reads into TPDO1, and turn the other predefined PDOs off."""
     told = TPDO1_OBJECTS if drive.rated_torque_nm is None else (*TPDO1_OBJECTS, TORQUE_OBJECT)
     wanted = ((pdo.RECEIVED, RPDO1 + node.number, RPDO1_OBJECTS), (pdo.TOLD, TPDO1 + node.number, told))
     try:
@@ -373,7 +373,7 @@ def _map(node: Node, drive: Cia402Drive, holds: bool) -> Part[None]:
 
 
 def _set_up(host: Host, node: Node) -> Part[None]:
-    """The beat of its targets, its heartbeat, and that silence lets nothing go."""
+    """Set the SYNC identifier, heartbeat and interpolation time, and make the drive hold when the host is silent."""
     yield from node.ensure(SYNC_IDENTIFIER, SYNC)
     yield from node.ensure(HEARTBEAT_MS, _drive(node.config).heartbeat_ms)
     for number in range(1, ((yield from node.read_if_there(MONITORED_NODES)) or 0) + 1):
@@ -414,7 +414,7 @@ def _set_interpolation_time(host: Host, node: Node) -> Part[None]:
 
 
 def _start(arm: ArmConfig, node: Node) -> Part[None]:
-    """Let its process data begin, and see that they do: the cycle asks for them all the while."""
+    """Start the node, and check that its TPDO1 comes: the cycle sends SYNCs all the while."""
     length = _drive(node.config).tpdo1_bytes
     started = AskFrames(
         (_order(node, START_NODE),), lambda frame: frame.id == TPDO1 + node.number and len(frame.data) == length
@@ -428,12 +428,12 @@ def _start(arm: ArmConfig, node: Node) -> Part[None]:
 
 
 def _target_here(node: Node) -> Part[None]:
-    """Put its target where it stands."""
+    """Set the drive's target to its measured position."""
     yield from node.write(TARGET, (yield from _place(node)))
 
 
 def _place(node: Node) -> Part[int]:
-    """Where it stands (counts)."""
+    """The drive's measured position (counts), read until two readings agree."""
     return (yield from confirmed(lambda: node.read(POSITION), SAME_PLACE_RAD * node.config.encoder_counts_per_rad))
 
 
@@ -451,7 +451,7 @@ def _until_csp(arm: ArmConfig, node: Node) -> Part[None]:
 
 
 def _enable(arm: ArmConfig, node: Node, state: int) -> Part[None]:
-    """From state to state, with the target where it stands until it holds it there."""
+    """Enable the drive state by state; its target is set to its measured position right before the last step."""
     steps = ((SHUT_DOWN, READY), (SWITCH_ON, SWITCHED_ON), (ENABLE_OPERATION, OPERATION_ENABLED))
     for word, wanted in steps[2:] if state == QUICK_STOP else steps:
         if word == ENABLE_OPERATION:
@@ -472,7 +472,7 @@ def _enable(arm: ArmConfig, node: Node, state: int) -> Part[None]:
 
 
 def _standing(host: Host, node: Node) -> Part[Found]:
-    """Where it stands, and its own target; one that is far from it is put there, which ends pushing."""
+    """The drive's position and target; a target too far from the position is set to it, which ends pushing."""
     drive = _drive(node.config)
     most = host.arm.limits.following_error_rad * node.config.encoder_counts_per_rad
     here = yield from _place(node)

@@ -1,11 +1,12 @@
-"""Damiao motors in the cycle: followers of set-points (mode mit), or led by targets (position_velocity).
+"""Damiao motors in the cycle: they follow set-points (mode mit) or go to targets (mode position_velocity).
 
 Protocol facts (damiao-motor 1.0.6; the makers' DM-J4310-2EC manual): standard identifiers. A command of mode mit goes
 to the motor's ID and packs, the highest bits first, position (16 bits), velocity, stiffness, damping and torque (12
-each); one of mode position_velocity to 100 (hex) more and holds two little-endian floats (rad, rad/s). Each is answered
-on the motor's master ID: status and the motor's ID in four bits each, position, velocity and torque packed likewise,
-then the temperatures of power stage and rotor. Registers are asked for through 7FF: the motor's ID, operation (CC asks
-for the same feedback and moves nothing), register, value; answers come on the master ID too, in the same form.
+each). A command of mode position_velocity goes to that ID + 100 (hex) and holds two little-endian floats (rad, rad/s).
+Both are answered by feedback on the motor's master ID: status and the motor's ID in four bits each, position, velocity
+and torque packed likewise, then the temperatures of power stage and rotor. Registers are accessed through 7FF: the
+motor's ID, operation (CC requests the same feedback and moves nothing), register, value; answers come on the master ID
+too, in the same form.
 """
 
 import math
@@ -28,7 +29,7 @@ ERROR_MEANINGS = code_meanings(ERRORS)
 
 @jit
 def setpoint_data(row: JointParams, rad: float, rad_s: float, nm: float) -> int:
-    """Data of a command of mode mit, in terms of the motor's shaft; `row` has ranges, stiffness and damping."""
+    """Data of a command of mode mit, for the motor's shaft; `row` has the fields' ranges, stiffness and damping."""
     packed = words.field(rad, row.range_rad, 16) << 48
     packed |= words.field(rad_s, row.range_rad_s, 12) << 36
     # stiffness and damping are the upper halves of ranges that begin at 0
@@ -41,15 +42,16 @@ def setpoint_data(row: JointParams, rad: float, rad_s: float, nm: float) -> int:
 
 @jit
 def target_data(rad: float, rad_s: float) -> int:
-    """Data of a command of mode position_velocity: where to, and how fast at most."""
+    """Data of a command of mode position_velocity: target and highest speed of the motor's shaft."""
     return words.float_word(rad) | words.float_word(rad_s) << 32
 
 
 @jit
 def following_data(row: JointParams, rad: float, rad_s: float) -> int:
-    """A set-point with what its fields cut off put into the torque field, whose steps are finer than stiffness × one.
+    """Data of a command of mode mit whose torque makes up for the rounding of position and velocity.
 
-    What position and velocity lose by being cut off to whole steps would tug at the joint at every step.
+    Position and velocity are rounded down to whole steps, which would tug at the joint at every step. The steps of the
+    torque field are finer than the stiffness times a step of position.
     """
     lost_rad = rad - words.of_field(words.field(rad, row.range_rad, 16), row.range_rad, 16)
     lost_rad_s = rad_s - words.of_field(words.field(rad_s, row.range_rad_s, 12), row.range_rad_s, 12)
@@ -58,6 +60,7 @@ def following_data(row: JointParams, rad: float, rad_s: float) -> int:
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    """Send a set-point in mode mit, or a target and a speed limit in mode position_velocity."""
     row, axis = loop.joints[joint], loop.axes[joint]
     if row.plans_its_motion == 0:
         position_rad, velocity_rad_s = following.setpoint(loop, joint)
@@ -75,15 +78,16 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def holding_rad_s(row: JointParams) -> float:
-    """Speed at which a standing joint comes back that was pushed away; with none it would let itself be pushed."""
+    """Speed limit (rad/s) at which a standing joint returns after it was pushed away; at 0 it would not resist."""
     return float(ERROR_SPEED_SHARE * row.max_velocity_rad_s)
 
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """Hold where it is measured, or with a ramp of its own where that ends: disabled it would fall.
+    """Command the motor to hold its measured position, or in mode position_velocity where its ramp ends.
 
-    One that is not led stands at its last target, or goes on to it by its ramp.
+    The motor stays enabled, because the joint would fall otherwise. A motor that gets no more commands stands at its
+    last target, or goes on to it along its ramp; so nothing is sent if its position is not known.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
     if not monitor.knows_where_it_stands(loop, joint):
@@ -104,7 +108,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
 
 @jit
 def command(loop: Loop, joint: int, shared: Shared, frame_id: int, data: int, stops: int) -> bool:
-    """Send a frame that the drive obeys and answers with its feedback; False when there is no room."""
+    """Send a motion command, which the drive answers with its feedback; False if the transmit buffer has no room."""
     if not outgoing.send(loop, shared, frame_id, STANDARD, 8, data, 0, stops):
         return False
     loop.axes[joint].sent.asked_cycle = loop.timing.cycle
@@ -123,18 +127,18 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
-    """Its feedback has its status."""
+    """Send nothing: the status is part of the feedback."""
 
 
 @jit
 def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
-    """Conversations let it stand by other means."""
+    """Service dialogues stop the motor by other means."""
     return False
 
 
 @jit
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
-    """All but questions about registers is answered with its feedback."""
+    """Every frame except those about registers is answered with feedback, which holds a position."""
     if frame_id != REGISTERS_ID or words.unsigned(data, 2, 1) == FEEDBACK:
         receiving.note_question(loop, joint)
 
@@ -143,6 +147,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
+    """Store position, velocity, torque, temperature and status of a feedback."""
     row = loop.joints[joint]
     if length != 8 or tells_a_register(row.address, data) or data & 15 != row.address:
         return
@@ -161,8 +166,8 @@ def receive(
 def tells_a_register(address: int, data: int) -> bool:
     """Whether an answer is about a register.
 
-    Its beginning, the motor's whole ID and an operation, could also be feedback of a motor that stands on one of three
-    steps in the lowest hundredth of its range: that is then not heard.
+    Such an answer begins with the motor's whole ID and an operation. Feedback of a motor that stands on one of three
+    steps in the lowest hundredth of its range could begin in the same way; it is then ignored.
     """
     operation = words.unsigned(data, 2, 1)
     ours = data & 0xFFFF == address
@@ -171,7 +176,7 @@ def tells_a_register(address: int, data: int) -> bool:
 
 @jit
 def common_status(code: int) -> int:
-    """The status code of a feedback in common bits: 0 is limp, 1 enabled, every other an error."""
+    """The status code of a feedback in common bits (`memory.status`): 0 is disabled, 1 enabled, others are errors."""
     if code == ENABLED:
         return status_bits.ENABLED
     return 0 if code == LIMP else status_bits.PROTECTED | words.meaning_of_code(code, ERROR_MEANINGS)

@@ -1,21 +1,22 @@
-"""Bring-up and release of a Damiao motor; what its frames are is said in `rtloop.drives.damiao`.
+"""Bring-up and disabling of a Damiao motor; `rtloop.drives.damiao` describes its frames.
 
-What it is asked, by frames that move nothing: its feedback, which says how it is; the ranges of its fields, without
-which no position means anything; its mode, its ramp and its alarm time. What differs of the last three is written to
-its volatile memory and read back. Then it is enabled and told to stay where it stands, before and right behind that, so
-that no old target counts. A motor that was enabled is told the same: in mode mit the torque that it makes just then is
-taken for that of its stiffness, so that a load does not sag.
+Bring-up reads, with frames that move nothing: the feedback with the motor's status; the ranges of its fields, without
+which no position means anything; its mode, its ramp and its alarm time. Where one of the last three differs, it is
+written to volatile memory and read back. Then the motor is enabled, with a command to stay where it stands right before
+and right after that, so that no old target counts. A motor that was enabled already gets that command alone. In mode
+mit the torque that it produces at that moment is taken for that of its stiffness, so that a load does not sag.
 
-The ramp (ACC, DEC) is written in rad/s² of the output shaft, as the makers' manuals have it. The one firmware that
-people have read (umeow0716/damiao_firmware, app/src/motor_control.c) goes at KP_APR / GR × the distance to its target,
-and takes ACC and DEC for rad/s of the rotor in a millisecond. Written for the manuals' law they are no ramp to it, and
-what brakes a joint in silence is the distance that grows small; written for that firmware's they would be a hundredth
-of the ramp to the others (GR / 1000), which then run far past their targets. So the manuals' number is the safe one
-under both; that firmware's motors lag behind their setpoints (docs/hardware/drive-families.md has the figures).
+The ramp (ACC, DEC) is written in rad/s² of the output shaft, as the makers' manuals define it. The one firmware whose
+source was read (umeow0716/damiao_firmware, app/src/motor_control.c) moves at KP_APR / GR × the distance to its target,
+and takes ACC and DEC as rad/s of the rotor per millisecond. To this firmware the manuals' numbers are no ramp at all;
+what brakes a joint in silence is then the shrinking distance. Numbers for this firmware would be a hundredth of the
+ramp to the others (GR / 1000), which would run far past their targets. So the manuals' number is safe with both; motors
+with this firmware lag behind their setpoints (docs/hardware/drive-families.md has the figures).
 
-Its alarm time (register 9) lets the motor go when it hears no command for so long, and a released arm falls; what asks
-for feedback does not count as one (as far as is known), so it would let go before the first goal. Without it a motor
-that hears nothing more keeps its last target, which is what a stop is; so it is set to 0 until the power is lost.
+The alarm time (register 9) switches the motor's torque off when no command comes for so long, and the arm falls. A
+request for feedback does not count as a command (as far as is known), so the torque would go before the first goal.
+Without an alarm time a motor that receives nothing more keeps its last target, which is a stop. So the alarm time is
+set to 0, until the power is lost.
 """
 
 import math
@@ -66,19 +67,19 @@ ERRORS = (
 """Status codes of the feedback; every other than these two and those is an error without a name."""
 
 ACC, DEC, TIMEOUT, CONTROL_MODE, PMAX, VMAX, TMAX = 4, 5, 9, 10, 21, 22, 23
-"""Registers (table of damiao-motor 1.0.6): ramps (rad/s², that of braking negative), alarm time, mode, ranges."""
+"""Registers (table of damiao-motor 1.0.6): ramps (rad/s², negative for braking), alarm time, mode, ranges."""
 TIMEOUT_UNIT_S = 50e-6
 MODES = {"mit": 1, "position_velocity": 2}
 RANGES = ((PMAX, "PMAX", "position", "rad"), (VMAX, "VMAX", "velocity", "rad/s"), (TMAX, "TMAX", "torque", "N·m"))
 RANGE_FIELDS = ("position_range_rad", "velocity_range_rad_s", "torque_range_nm")
 SAME = 1e-4
-"""Two values of a register that differ by less, relatively, are one that was rounded (12.566 is 4π)."""
+"""Relative difference below which two values of a register are the same one, rounded (12.566 is 4π)."""
 STANDING_STEPS = 2
-"""A motor that tells no more steps of velocity than these stands."""
+"""A motor that reports no more steps of velocity than these is at rest."""
 
 
 class Feedback(NamedTuple):
-    """What a motor tells of itself: status code, position (rad), velocity (rad/s) and torque (N·m) of its shaft."""
+    """What a motor reports: status code, position (rad), velocity (rad/s) and torque (N·m) of its shaft."""
 
     code: int
     rad: float
@@ -87,7 +88,7 @@ class Feedback(NamedTuple):
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-    """What the cycle needs of a Damiao motor; see `rtloop.drives.setup.Setup`."""
+    """Write the parameters of a Damiao motor for the cycle; see `rtloop.drives.setup.Setup`."""
     drive = _drive(joint)
     row["command_per_rad"] = row["reading_per_rad"] = joint.direction * joint.ratio
     row["effort_per_unit"] = joint.direction * joint.ratio
@@ -98,7 +99,7 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
-    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     drive = _drive(config)
     found = yield from _sound(host, joint)
@@ -131,18 +132,18 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
-    """What `rtloop.drives.setup.PowerProof` says."""
+    """See `rtloop.drives.setup.PowerProof.kept_power`."""
     return (yield from stayed_armed(host, joint, lambda: _is_enabled(host.arm.joints[joint])))
 
 
 def _is_enabled(config: JointConfig) -> Part[bool | None]:
-    """Whether the motor is enabled; None where it does not say."""
+    """Whether the motor is enabled; None if it does not answer."""
     answer = yield _asked(config)
     return None if answer is None else feedback_of(answer.data, _drive(config).ranges).code == ENABLED
 
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
-    """Disable the motor, and see that it is; raises DialogueFailed."""
+    """Disable the motor, and check that it is disabled; raises DialogueFailed."""
     config = arm.joints[joint]
 
     def told() -> Part[str]:
@@ -153,12 +154,12 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 
 def status_words(code: int) -> str:
-    """A status code for people."""
+    """A status code in words."""
     return code_words(code, ERRORS) or {LIMP: "limp", ENABLED: "enabled"}.get(code, f"{code:#x}")
 
 
 def feedback_of(data: bytes, ranges: Ranges) -> Feedback:
-    """What 8 bytes of feedback say."""
+    """Decode 8 bytes of feedback."""
     packed = int.from_bytes(data, "big")
     return Feedback(
         data[0] >> 4,
@@ -169,7 +170,7 @@ def feedback_of(data: bytes, ranges: Ranges) -> Feedback:
 
 
 def setpoint_bytes(drive: DamiaoDrive, rad: float) -> bytes:
-    """A command of mode mit to stand at a position (rad, of the motor's shaft)."""
+    """Data of a command of mode mit to stand at a position (rad, of the motor's shaft)."""
     ranges, kp, kd = drive.ranges, drive.kp or 0.0, drive.kd or 0.0
     packed = field(rad, ranges.rad, 16) << 48 | field(0.0, ranges.rad_s, 12) << 36
     packed |= field(2.0 * kp - HIGHEST_KP, HIGHEST_KP, 12) << 24 | field(2.0 * kd - HIGHEST_KD, HIGHEST_KD, 12) << 12
@@ -186,7 +187,7 @@ def _command(drive: DamiaoDrive, last: int) -> Frame:
 
 
 def _stay(config: JointConfig, found: Feedback, most_rad: float) -> Frame:
-    """The command to stay where it stands."""
+    """The command to hold the present position; see `_held_rad`."""
     drive = _drive(config)
     rad = _held_rad(config, found, most_rad)
     if drive.mode == "mit":
@@ -196,7 +197,11 @@ def _stay(config: JointConfig, found: Feedback, most_rad: float) -> Frame:
 
 
 def _held_rad(config: JointConfig, found: Feedback, most_rad: float) -> float:
-    """Where the motor holds, at most so far from where it stands: a spring with this torque is bent."""
+    """The target that an enabled motor in mode mit holds (rad of its shaft), at most `most_rad` from its position.
+
+    Its stiffness acts like a spring: the torque tells how far the motor is from its target. In other cases, and for a
+    motor that moves, it is the position.
+    """
     drive = _drive(config)
     stands = abs(found.rad_s) <= STANDING_STEPS * 2.0 * drive.ranges.rad_s / 0xFFF
     if drive.kp is None or found.code != ENABLED or not stands:
@@ -205,7 +210,7 @@ def _held_rad(config: JointConfig, found: Feedback, most_rad: float) -> float:
 
 
 def _confirmed_feedback(joint: int, config: JointConfig) -> Part[Feedback]:
-    """The motor's feedback, with a place to be told to it; raises DialogueFailed."""
+    """The motor's feedback with a position that was read twice in a row, to become a target; raises DialogueFailed."""
     return (
         yield from confirmed(
             lambda: _feedback(joint, config), SAME_PLACE_RAD * config.ratio, place=lambda found: found.rad
@@ -214,7 +219,7 @@ def _confirmed_feedback(joint: int, config: JointConfig) -> Part[Feedback]:
 
 
 def _asked(config: JointConfig) -> AskFrames:
-    """The question for a motor's feedback: on its master ID, with its own ID in the lowest bits."""
+    """The request for a motor's feedback, which comes on its master ID with its own ID in the lowest bits."""
     drive = _drive(config)
     request = Frame(REGISTERS_ID, struct.pack("<HBB4x", drive.motor_id, FEEDBACK, 0), kind=STANDARD)
     return AskFrames((request,), lambda frame: is_feedback(drive, frame.data))
@@ -230,13 +235,16 @@ def _tells_register(drive: DamiaoDrive, data: bytes) -> bool:
 
 
 def _feedback(joint: int, config: JointConfig) -> Part[Feedback]:
-    """How the motor is; raises DialogueFailed."""
+    """Read the motor's feedback; raises DialogueFailed."""
     answer = yield from answered(joint, config, _asked(config), "feedback")
     return feedback_of(answer.data, _drive(config).ranges)
 
 
 def _sound(host: Host, joint: int) -> Part[Feedback]:
-    """See that it answers and has no error, which is cleared where a person has asked for it; raises DialogueFailed."""
+    """Check that the motor answers and has no error; raises DialogueFailed.
+
+    An error is cleared if the operator has asked for that.
+    """
     config = host.arm.joints[joint]
     drive = _drive(config)
     answer = yield _asked(config)
@@ -267,7 +275,7 @@ def _sound(host: Host, joint: int) -> Part[Feedback]:
 
 
 def _check_ranges(joint: int, config: JointConfig) -> Part[None]:
-    """See that the fields reach what the arm file says; raises DialogueFailed."""
+    """Check that the fields of the motor's frames have the ranges that the arm file states; raises DialogueFailed."""
     drive = _drive(config)
     for (register, name, what, unit), field_name, expected in zip(RANGES, RANGE_FIELDS, drive.ranges, strict=True):
         value = yield from _read_float(joint, config, register)
@@ -283,7 +291,10 @@ def _check_ranges(joint: int, config: JointConfig) -> Part[None]:
 
 
 def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> None:
-    """Refuse a motor at the end of its position field: it may stand beyond, and to stay there would move it."""
+    """Refuse a motor that reports an end of its position field; raises DialogueFailed.
+
+    The motor may stand beyond that end, and a command to stay would move it.
+    """
     most = _drive(config).ranges.rad
     if abs(rad) < most * (1.0 - 1.0 / POSITION_STEPS):
         return
@@ -297,7 +308,7 @@ def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> No
 
 
 def _set_up(host: Host, joint: int, *, enabled: bool) -> Part[None]:
-    """Set mode, ramp and alarm time in volatile memory where they differ, and say so; raises DialogueFailed."""
+    """Set mode, ramp and alarm time in volatile memory where they differ, and report it; raises DialogueFailed."""
     config = host.arm.joints[joint]
     drive = _drive(config)
     done: list[str] = []
@@ -351,7 +362,7 @@ def _read_whole(joint: int, config: JointConfig, register: int) -> Part[int]:
 
 
 def _write(joint: int, config: JointConfig, register: int, value: bytes) -> Part[None]:
-    """Write a register in volatile memory, and see that it has the value; raises DialogueFailed."""
+    """Write a register in volatile memory and read it back; raises DialogueFailed."""
     head = struct.pack("<HBB", _drive(config).motor_id, WRITE, register)
 
     def write() -> Dialogue:

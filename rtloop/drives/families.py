@@ -1,7 +1,7 @@
-"""Families of drives, as the cycle sees them: a family's file has these functions for its own drives.
+"""Families of drives, as the cycle sees them: each family's file has the functions below for its own drives.
 
-Each of them becomes one function for all families, which looks at the joint's; what `config.joint.FAMILIES` names is
-found here by its name. A mock drive says nothing and hears nothing.
+Here each of them becomes one function for all families, which calls that of the joint's family. The families are those
+that `config.joint.FAMILIES` names; their modules are found by these names. A mock drive sends and receives nothing.
 """
 
 import importlib
@@ -15,11 +15,11 @@ from rtloop.memory.axis import FAMILY_MOCK
 from rtloop.memory.state import Loop
 
 AT_ONCE = 4
-"""Families that one function chooses among: each more function costs compiling, each more family in one does not."""
+"""Families that one function chooses among: another function costs compile time, another family in one does not."""
 
 
 def _by_family(name: str) -> Any:
-    """The function of this name for a joint of any family; its arguments begin with the loop and the joint."""
+    """The function `name` for a joint of any family; its first arguments are the loop and the joint."""
     chosen: Callable[..., Any] = getattr(mock, name)
     others = [number for number in range(len(FAMILIES)) if number != FAMILY_MOCK]
     for first in range(others[0], len(FAMILIES), AT_ONCE):
@@ -49,21 +49,21 @@ def _among(first: int, does: list[Callable[..., Any]], otherwise: Callable[..., 
 
 @jit
 def is_on_the_bus(loop: Loop, joint: int) -> bool:
-    """Whether the joint's drive is one that can be asked."""
+    """Whether the joint has a drive on the bus, which is so for all but mock drives."""
     return bool(loop.joints[joint].family != FAMILY_MOCK)
 
 
 lead = _by_family("lead")
-"""(loop, joint, shared) → None: send what leads the drive through the coming period."""
+"""(loop, joint, shared) → None: send the motion command for the coming period."""
 stop = _by_family("stop")
-"""(loop, joint, shared) → bool: tell the drive to stop where it is; False when there is no room for that."""
+"""(loop, joint, shared) → bool: command the drive to stop where it is; False if the transmit buffer has no room."""
 ask_position = _by_family("ask_position")
-"""(loop, joint, shared) → None: ask the drive where it is, unless leading it has done so in this cycle."""
+"""(loop, joint, shared) → None: ask the drive for its position, unless a motion command of this cycle does so."""
 ask_status = _by_family("ask_status")
-"""(loop, joint, shared) → None: ask the drive how it is."""
+"""(loop, joint, shared) → None: ask the drive for its status."""
 is_stop = _by_family("is_stop")
 """(loop, joint, frame_id, data) → bool: whether a frame to the drive is the stop command."""
 note_what_was_said = _by_family("note_what_was_said")
-"""(loop, joint, frame_id, data) → None: a conversation has told the drive something among the cycle's frames."""
+"""(loop, joint, frame_id, data) → None: take note of a service dialogue's frame, sent among those of the cycle."""
 receive = _by_family("receive")
-"""(loop, joint, shared, frame_id, kind, length, data, time_ns) → None: take what the drive says."""
+"""(loop, joint, shared, frame_id, kind, length, data, time_ns) → None: decode and store a frame of the drive."""

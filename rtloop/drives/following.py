@@ -1,4 +1,4 @@
-"""Leading a drive that follows set-points: it goes where each one says, as hard as it can, and plans nothing itself."""
+"""Commands to a drive that follows set-points: it goes to each one as hard as it can, and plans no motion itself."""
 
 from compilation.jit import jit
 from rtloop.memory.axis import NOT_LED
@@ -7,15 +7,15 @@ from rtloop.trajectory.correction import ERROR_SHARE_1_S, ERROR_SPEED_SHARE
 from rtloop.trajectory.limits import clamped_rad
 
 STANDS_AFTER_CYCLES = 3
-"""Without a target a drive ends its line in the next cycle, and has come to rest soon after."""
+"""Cycles without a target after which a drive is at rest: it reaches its last one in the next, and rests soon after."""
 
 
 @jit
 def setpoint(loop: Loop, joint: int) -> tuple[float, float]:
     """Position (rad) and velocity (rad/s) of the joint in the middle of the time for which this cycle's frame counts.
 
-    It arrives `command_delay_s` into the cycle and holds for a period: what is right in the middle of that is early by
-    as much as it becomes late, so the drive is on time in the mean.
+    The frame arrives `command_delay_s` into the cycle and counts for one period. A setpoint that is exact in the middle
+    of that time is as early at its beginning as it is late at its end, so the drive is on time in the mean.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
     commanded = axis.commanded
@@ -27,18 +27,20 @@ def setpoint(loop: Loop, joint: int) -> tuple[float, float]:
 
 @jit
 def still_behind_rad(loop: Loop, joint: int, setpoint_rad: float) -> float:
-    """How far the commanded position stays behind the setpoint, because it was not led for a while.
+    """How far (rad) the commanded position stays behind the setpoint because the drive got no targets for a while.
 
-    It has stood at its last target meanwhile, and would jump to a new one within a period. So it begins at rest from
-    where it is, with the joint's acceleration limit, and makes good what it is behind at a share of its highest speed;
-    `behind_rad_s` of the axis is the change of what is returned. Once in each cycle in which the drive is led.
+    Meanwhile the drive stood at its last target, and would jump to a new one within a period. So it is commanded to
+    start at rest from where it is, within the joint's acceleration limit, and to catch up at a share of its highest
+    speed. `behind_rad_s` of the axis is the rate at which the returned value changes. To be called exactly once in each
+    cycle in which the drive gets a target.
 
-    For drives whose own loop leaves no error at rest: one that carries a load by being off its target would let it sag.
+    For drives whose own loop leaves no error at rest: a drive that carries a load by being off its target would let the
+    load sag.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
     sent = axis.sent
     period_s = loop.params.period_ns * 1e-9
-    if sent.led_cycle == NOT_LED:  # it holds what is commanded, by as much off that as its load makes
+    if sent.led_cycle == NOT_LED:  # it holds the commanded position, off it by what its load causes
         sent.behind_rad = sent.behind_rad_s = 0.0
     elif loop.timing.cycle - sent.led_cycle > STANDS_AFTER_CYCLES:
         sent.behind_rad = setpoint_rad - axis.measured.position_rad

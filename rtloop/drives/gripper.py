@@ -1,4 +1,4 @@
-"""What a family's file `<family>_gripper.py` has for ordinary Python: the drive of a gripper on the arm's bus."""
+"""What a family's file `<family>_gripper.py` offers to ordinary Python: the drive of a gripper on the arm's bus."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from shm.words import GripTrouble
 
 
 class Trouble(Exception):
-    """What was asked cannot be done, or nothing can."""
+    """The gripper's drive cannot do what was requested, or cannot be used at all; `kind` says why."""
 
     def __init__(self, kind: GripTrouble, value: float = math.nan) -> None:
         super().__init__(kind)
@@ -20,53 +20,56 @@ class Trouble(Exception):
 
 
 class GripperHost(Protocol):
-    """The conversation that a gripper's drive is part of."""
+    """The conversation with the gripper's drive, as the drive's code sees it."""
 
     now_ns: int
 
     @property
     def waits(self) -> bool:
-        """Whether there is a newer order."""
+        """Whether a newer order waits."""
 
     def show(self) -> None:
-        """Publish how the gripper is."""
+        """Publish the gripper's state."""
 
 
 class GripperDrive(Protocol):
-    """The drive of a gripper; angles are the gripper's (rad), and every part raises Trouble."""
+    """The drive of a gripper; angles are the gripper's (rad), and every part of a dialogue raises Trouble."""
 
     def addressed(self, turn: Unaddressed[None]) -> Dialogue:
-        """A turn of the conversation, said to this drive."""
+        """A turn of the conversation, addressed to this drive."""
 
     def get_to_know(self) -> Unaddressed[None]:
-        """See that the drive is what the arm file says, and let it hold where it stands if it is on its way."""
+        """Check that the drive matches the arm file, and let it hold its position if it is moving."""
 
     def make_able(self) -> Unaddressed[None]:
-        """Let a drive that has let go hold again; a lost count stays lost."""
+        """Clear the drive's protection and enable it, where that is needed; a lost count stays lost."""
 
     def limit_effort(self, effort: float) -> Unaddressed[None]:
-        """Let it push no harder than this (N·m); with 0, as hard as it was found to."""
+        """Limit the drive's torque (N·m); 0 restores the limit that the drive was found with."""
 
     def go_to(self, angle_rad: float) -> Unaddressed[None]:
-        """Command the motion, and see that the drive has taken it."""
+        """Command a motion, and check that the drive has taken it."""
 
     def hold(self) -> Unaddressed[None]:
-        """Let it stand where it is, so that it neither moves nor pushes."""
+        """Stop the drive where it is, so that it neither moves nor pushes."""
 
     def home(self) -> Unaddressed[None]:
-        """Let the drive find its stop, from which it counts; an order that comes meanwhile ends that."""
+        """Run the drive to its stop, from which it counts; an order that comes meanwhile ends the run."""
 
     def position_rad(self) -> Unaddressed[float]:
-        """Where it is."""
+        """The gripper's angle."""
 
     def look(self, moves: bool) -> Unaddressed[GripTrouble]:
-        """What is wrong with a drive whose count means an angle; one that pushes although nothing moves it holds."""
+        """What is wrong with a drive whose count means an angle.
+
+        If the drive is stalled while no motion is commanded (`moves` is False), it is told to hold where it is.
+        """
 
     def measure_effort(self, nm_per_ampere: float) -> Unaddressed[float]:
-        """How hard it pushes (N·m); NaN where it does not say."""
+        """The drive's torque (N·m); NaN if the drive does not report it."""
 
 
 def gripper_drive_of(servo: GripperServo, gripper: GripperConfig, host: GripperHost) -> GripperDrive:
-    """What is said to the drive of a gripper, by its family's file."""
+    """The drive of a gripper, as its family's file implements it."""
     family = importlib.import_module(f"rtloop.drives.{servo.family}_gripper")
     return cast(GripperDrive, family.Gripper(servo, gripper, host))

@@ -1,9 +1,9 @@
-"""Leading a drive that plans its own ramp to the target it received last: a target ahead, a speed that sets the pace.
+"""Commands to a drive that plans its own ramp to the target it received last: a target ahead, and a speed limit.
 
-A target at the setpoint would make it sprint and stop in every cycle. So the target lies ahead of the setpoint by one
-period of motion plus the braking distance of the drive's ramp, and the speed alone sets the pace: the planned mean
-velocity of the coming period plus a small share of the measured error. Since the ramp is 1.5 to 2 times the joint's
-acceleration limit, a drive that receives nothing more brakes by itself, bounded, towards its last target.
+A target at the setpoint would make the drive accelerate and stop in every cycle. So the target lies ahead of the
+setpoint by one period of motion plus the braking distance of the drive's ramp. The speed alone then sets the pace: the
+planned mean velocity of the coming period plus a small share of the measured error. The ramp is 1.5 to 2 times the
+joint's acceleration limit, so a drive that receives nothing more brakes by itself, bounded, towards its last target.
 """
 
 import math
@@ -18,10 +18,11 @@ from rtloop.trajectory.limits import clamped_rad
 
 @jit
 def target_ahead(loop: Loop, joint: int, coarse_rad_s: float) -> tuple[float, float]:
-    """Target (rad) and signed speed (rad/s) that lead a drive through the coming period.
+    """Target (rad) and signed speed (rad/s) of the joint to command for the coming period.
 
-    `coarse_rad_s` is by how much the commanded speed may be off for a period because it is a whole number of something
-    (whose remainder the caller carries over): to correct the error of that would only add to it.
+    `coarse_rad_s` is by how much the commanded speed may be off for a period because the drive takes whole numbers
+    only. The caller carries the remainder over to the next period, so the position error that this rounding causes is
+    not corrected here: that would only add to it.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
     commanded = axis.commanded
@@ -48,9 +49,9 @@ def target_ahead(loop: Loop, joint: int, coarse_rad_s: float) -> tuple[float, fl
 
 @jit
 def whole_rpm(loop: Loop, joint: int, speed_rad_s: float, most_rpm: int) -> int:
-    """The speed as a whole number of motor rpm, 1 at the least, so that the last step is reached.
+    """The speed as a whole number of motor rpm, up to `most_rpm`; at least 1, so that the drive reaches its target.
 
-    What rounding leaves out is carried over to the next period.
+    The remainder of the rounding is carried over to the next period.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
     wanted_rpm = abs(speed_rad_s) * row.rpm_per_rad_s + axis.sent.rpm_remainder

@@ -1,12 +1,12 @@
-"""Bring-up, homing and release of an MKS SERVO42D/57D; what its frames are is said in `rtloop.drives.mks`.
+"""Bring-up, homing and disabling of an MKS SERVO42D/57D; `rtloop.drives.mks` describes its frames.
 
-What it is asked (nothing moves): its position, whether it moves, its work mode, microsteps and acknowledgements,
-whether it has stalled and whether that lets go of its shaft, whether it is enabled, and how far it stands from its own
-target. A drive that is on its way somewhere is stopped first. What must be different is told to it: the work mode
-SR_vFOC (`82`), without which it heeds no motion commands, and whether it acknowledges (`8C`); a drive keeps both.
-Firmware before V1.0.6 cannot be asked for settings (`00`), so they are told to it each time.
+Bring-up reads (nothing moves): position, whether the drive moves, work mode, microsteps and acknowledgements, whether
+it has stalled and whether a stall switches its torque off, whether it is enabled, and how far it is from its own
+target. A moving drive is stopped first. Two settings are written where they differ: the work mode SR_vFOC (`82`),
+without which the drive ignores motion commands, and whether it acknowledges (`8C`); the drive keeps both without power.
+Firmware before V1.0.6 cannot be asked for settings (`00`), so they are written each time.
 
-Its count begins where it was switched on, and nothing tells that it was.
+The drive's count begins where it was switched on, and nothing reports that it was.
 """
 
 from collections.abc import Callable
@@ -34,46 +34,46 @@ WORK_MODE, MICROSTEPS, PROTECT, ANSWERS, HOME, ERROR_GUARD = 0x82, 0x84, 0x88, 0
 READ_STATE, ENABLE, MOVE, EMERGENCY_STOP = 0xF1, 0xF3, 0xF5, 0xF7
 
 STOP_AT_ONCE = bytes((MOVE, 0, 0, 0, 0, 0, 0))
-"""No speed, and no ramp to it: stand still in position mode, as the manual says it (V1.0.6, 6.8)."""
+"""Speed 0 without a ramp: stop in position mode, as the manual has it (V1.0.6, 6.8)."""
 
 REFUSED, BEGUN, STOPPED_AT_LIMIT = 0, 1, 3
 """Results of a command."""
 STANDS, HOMING, CALIBRATING = 1, 5, 6
-"""Answers to READ_STATE; those between tell that it moves."""
+"""Answers to READ_STATE; the values between STANDS and HOMING mean that the drive moves."""
 HOMING_FAILED = 2
 SR_VFOC = 5
 UNKNOWN = b"\xff\xff"
-"""What a drive says of a setting that it does not have."""
+"""Answer to a request for a setting that the drive does not have."""
 HIGHEST_RPM = 3000
 """In SR_vFOC."""
 TRUE_SPEED_MICROSTEPS = (16, 32, 64)
-"""With which the speed of a command is in rpm; others make it another one (manual V1.0.6, 6.1)."""
+"""Microsteps with which the speed in a command is in rpm; with others it is not (manual V1.0.6, 6.1)."""
 ERROR_STEPS_PER_REVOLUTION = 51_200
 
 AGREEING = 2
-"""Answers in a row that say the same: one alone may be a moment's."""
+"""Answers in a row that must agree: a single one may hold for a moment only."""
 SYNC_WITHIN_RAD = 0.02
-"""A drive whose target lies this near to its position is taken at its word."""
+"""Largest distance between a drive's target and its position for which the target is accepted."""
 HALT_PATIENCE_S = 4.0
-"""At least, from 3000 rpm to rest with a ramp of 750 rpm/s; then it is stopped at once."""
+"""Least timeout of a halt, from 3000 rpm to rest with a ramp of 750 rpm/s; then the drive is stopped at once."""
 SETTLE_PATIENCE_NS = 3_000_000_000
 BEGIN_NS = 1_000_000_000
-"""Within which a homing run has begun."""
+"""Time within which a homing run must begin."""
 LATE_S = 1.0
 BOOT_NS = 100_000_000
-"""A drive that is switched off and on is silent for longer (unproven)."""
+"""A drive that is switched off and on does not answer for longer than this (unproven)."""
 BOOT_PERIODS = 4
-"""At low rates an answer takes that long anyhow."""
+"""Cycles that an answer may take at low rates anyway."""
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-    """What the cycle needs of an MKS drive; see `rtloop.drives.setup.Setup`."""
+    """Write the parameters of an MKS drive for the cycle; see `rtloop.drives.setup.Setup`."""
     row["acc_byte"] = silence_acc_byte(joint, arm.limits)
     row["silence_deceleration_rad_s2"] = braking_deceleration_rad_s2(joint, int(row["acc_byte"]))
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
-    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     can_id = _can_id(config)
     if (yield _ask(can_id, 8, READ_POSITION)) is None:
@@ -96,7 +96,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
-    """Let the drive go limp, and see that it has; raises DialogueFailed."""
+    """Disable the drive, and check that it is disabled; raises DialogueFailed."""
     config = arm.joints[joint]
 
     def told() -> Part[str]:
@@ -110,7 +110,7 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 
 def home(host: ReferencingHost, joint: int) -> Part[float]:
-    """What `rtloop.drives.setup.Homes` says: the drive runs as its homing parameters (menu Hm_…) say."""
+    """See `rtloop.drives.setup.Homes.home`; the drive's homing parameters (menu Hm_…) determine the run."""
     config = host.arm.joints[joint]
     can_id = _can_id(config)
     host.run_begins(joint)
@@ -140,7 +140,7 @@ def home(host: ReferencingHost, joint: int) -> Part[float]:
 
 
 def end_homing(host: ReferencingHost, joint: int) -> Dialogue:
-    """What `rtloop.drives.setup.Homes` says."""
+    """See `rtloop.drives.setup.Homes.end_homing`."""
     config = host.arm.joints[joint]
     seen = 0
     for _ in range(TRIES + AGREEING):
@@ -157,7 +157,7 @@ def end_homing(host: ReferencingHost, joint: int) -> Dialogue:
 
 def _begin_run(host: ReferencingHost, joint: int, config: JointConfig) -> Part[None]:
     can_id, since_ns = _can_id(config), host.now_ns
-    answer = yield _ask(can_id, 3, HOME, answered=False)  # whether it has begun is told by its state
+    answer = yield _ask(can_id, 3, HOME, answered=False)  # its state shows whether the run has begun
     refused = answer is not None and answer.data[1] == REFUSED
     seen = 0
     while not refused and host.now_ns - since_ns < BEGIN_NS:
@@ -173,13 +173,13 @@ def _begin_run(host: ReferencingHost, joint: int, config: JointConfig) -> Part[N
 
 
 def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: int) -> Part[int]:
-    """Wait for the end of the run; the last count of before it, as the drive counted then."""
+    """Wait for the end of the run; the last position read before it ended, in the drive's count from before the run."""
     began_ns, newest, ended = host.now_ns, last, 0
     while ended < AGREEING:
         state = yield from _unbroken(host, joint, _read(joint, config, READ_STATE, "homing state"))
         ended = ended + 1 if state != HOMING else 0
         if not ended:
-            last = newest  # the drive has still been homing after it was read, so it had not set its count anew
+            last = newest  # the drive was still homing after this reading, so it had not reset its count yet
             newest = yield from _unbroken(host, joint, _position(joint, config))
         if host.now_ns - began_ns > (host.arm.homing.timeout_s + LATE_S) * 1e9:
             raise DialogueFailed(
@@ -192,9 +192,9 @@ def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: in
 
 
 def _unbroken(host: ReferencingHost, joint: int, part: Part[int]) -> Part[int]:
-    """A question amid a run, and that its answer did not take as long as switching the drive off and on.
+    """Ask during a homing run, and raise DialogueFailed if the answer took as long as switching the drive off and on.
 
-    Such a drive counts from 0 where it stands, as one does that has found its stop.
+    A drive that was switched off and on counts from 0 where it stands, just as one that has found its stop.
     """
     asked_ns = host.now_ns
     value = yield from part
@@ -211,7 +211,7 @@ def _unbroken(host: ReferencingHost, joint: int, part: Part[int]) -> Part[int]:
 
 
 def _stand(host: Host, joint: int) -> Part[bool]:
-    """See that it stands, and stop it if not; whether it was amid a homing run."""
+    """Check that the drive stands, and stop it if not; whether it was in a homing run."""
     config = host.arm.joints[joint]
     can_id, began_ns = _can_id(config), host.now_ns
     halt = bytes((MOVE, 0, 0, silence_acc_byte(config, host.arm.limits), 0, 0, 0))
@@ -229,7 +229,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
             )
         was_homing |= state == HOMING
         waited_ns = host.now_ns - began_ns
-        if state in (STANDS, 0):  # 0: in a work mode in which it tells no state, and obeys nobody here
+        if state in (STANDS, 0):  # 0: a work mode in which the drive reports no state and ignores commands
             standing, before = standing + 1, ()
         elif waited_ns > halt_patience_ns + SETTLE_PATIENCE_NS:
             raise DialogueFailed(
@@ -244,7 +244,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
 
 
 def _settle_mode(host: Host, joint: int) -> Part[None]:
-    """See that it heeds commands from the bus, and takes their speed for what it is."""
+    """Check that the drive takes commands from the bus, and their speed as rpm; set its work mode if need be."""
     config = host.arm.joints[joint]
     microsteps = yield from _parameter(config, MICROSTEPS, 3)
     if microsteps is not None and (microsteps[1] or 256) not in TRUE_SPEED_MICROSTEPS:
@@ -267,7 +267,7 @@ def _settle_mode(host: Host, joint: int) -> Part[None]:
 
 
 def _settle_answers(host: Host, joint: int) -> Part[None]:
-    """Have commands acknowledged or not as the arm file says; never does it tell by itself that a motion has ended."""
+    """Turn acknowledgements on or off as the arm file says; reports of ended motions are turned off in any case."""
     config = host.arm.joints[joint]
     wanted = int(host.arm.bus.acknowledge)
     found = yield from _parameter(config, ANSWERS, 4)
@@ -310,7 +310,7 @@ def _clear_protection(host: Host, joint: int) -> Part[None]:
 
 
 def _tripped(joint: int, config: JointConfig) -> Part[bool]:
-    """Whether its protection has tripped; the mark of a stall that let go of nothing is taken away (3D)."""
+    """Whether the drive's protection has tripped; the flag of a stall that left the torque on is cleared (3D)."""
     if not (yield from _read(joint, config, READ_STALLED, "protection")):
         return False
     if (yield from _lets_go_stalled(config)):
@@ -320,9 +320,9 @@ def _tripped(joint: int, config: JointConfig) -> Part[bool]:
 
 
 def _lets_go_stalled(config: JointConfig) -> Part[bool]:
-    """Whether a stall makes the drive let go: `Protect` (88) is on, or its guard of the position's error (9D).
+    """Whether a stall switches the torque off: `Protect` (88) is on, or the guard of the position error (9D) is.
 
-    What cannot be asked is taken for on.
+    A setting that cannot be read is taken to be on.
     """
     can_id = _can_id(config)
     for code, length in ((PROTECT, 3), (ERROR_GUARD, 7)):
@@ -333,7 +333,7 @@ def _lets_go_stalled(config: JointConfig) -> Part[bool]:
 
 
 def _enable(arm: ArmConfig, joint: int) -> Part[None]:
-    """Let it hold where it stands: the stop right behind it in case it would go to a target of before."""
+    """Enable the drive where it stands; a stop follows immediately, in case the drive would go to an old target."""
     config = arm.joints[joint]
     for _ in range(TRIES):
         enabled = yield _ask(_can_id(config), 3, READ_ENABLED, before=(bytes((ENABLE, 1)), STOP_AT_ONCE))
@@ -346,7 +346,7 @@ def _enable(arm: ArmConfig, joint: int) -> Part[None]:
 
 
 def _standing(host: Host, joint: int, reason: Unreferenced) -> Part[Found]:
-    """Where the drive stands, and its own target once that is near."""
+    """The drive's position and its own target once they agree; after a timeout, the position serves as target too."""
     config, started_ns, stopped = host.arm.joints[joint], host.now_ns, False
     within = SYNC_WITHIN_RAD * config.encoder_counts_per_rad
     while True:
@@ -354,14 +354,14 @@ def _standing(host: Host, joint: int, reason: Unreferenced) -> Part[Found]:
         target = yield from _target(joint, config)
         if abs(target - measured) <= within:
             return Found(measured, target, reason)
-        if not stopped:  # whatever keeps it from there, nobody here has sent it
+        if not stopped:  # the target is not from this process
             stopped = True
             yield _ask(_can_id(config), 3, READ_STATE, before=(STOP_AT_ONCE,))
         elif host.now_ns - started_ns > SETTLE_PATIENCE_NS:
             return Found(measured, measured, reason)
 
 
-# --- what it is asked
+# --- requests
 
 
 def _can_id(config: JointConfig) -> int:
@@ -385,9 +385,10 @@ def _is_answer(can_id: int, lengths: tuple[int, ...], code: int) -> Callable[[Fr
 def _ask(
     can_id: int, length: int | tuple[int, ...], *data: int, before: tuple[bytes, ...] = (), answered: bool = True
 ) -> AskFrames:
-    """A command, and its answer of so many bytes; what leaves right before it is said as often, and not waited for.
+    """A command whose answer has `length` bytes; the commands `before` are sent right before it, at every try.
 
-    An adapter may echo the command, which is as long as its answer in one case (82), but never the same.
+    The answers to `before` are not waited for. An adapter may echo the command, which has the length of its answer in
+    one case (82), but never the same bytes.
     """
     lengths = (length,) if isinstance(length, int) else length
     frames = tuple(_frame(can_id, told) for told in (*before, bytes(data)))
@@ -396,7 +397,7 @@ def _ask(
 
 
 def _told(config: JointConfig, *data: int) -> Part[bool]:
-    """Whether the drive takes a setting."""
+    """Write a setting; whether the drive accepts it."""
     can_id = _can_id(config)
     for _ in range(TRIES):
         answer = yield _ask(can_id, 3, *data)
@@ -408,7 +409,7 @@ def _told(config: JointConfig, *data: int) -> Part[bool]:
 
 
 def _parameter(config: JointConfig, code: int, length: int) -> Part[bytes | None]:
-    """The answer to the question for a setting, of so many bytes; None where the drive cannot be asked for it."""
+    """Read a setting: the answer, of `length` bytes; None if the drive does not offer the setting for reading."""
     answer = yield _parameter_question(_can_id(config), code, (3, 4))
     if answer is None or len(answer.data) != length or answer.data[1:3] == UNKNOWN:
         return None
@@ -416,24 +417,24 @@ def _parameter(config: JointConfig, code: int, length: int) -> Part[bytes | None
 
 
 def _parameter_question(can_id: int, code: int, lengths: tuple[int, ...]) -> AskFrames:
-    """The question for a setting, answered with so many bytes, or with four of which two say that it is UNKNOWN."""
+    """The request for a setting; the answer of a drive that does not have it is four bytes, two of them UNKNOWN."""
     return AskFrames((_frame(can_id, bytes((READ_PARAMETER, code))),), _is_answer(can_id, lengths, code))
 
 
 def _read(joint: int, config: JointConfig, code: int, what: str) -> Part[int]:
-    """The byte a question of one byte is answered with; raises DialogueFailed."""
+    """The byte in the answer to a request of one byte; raises DialogueFailed."""
     answer = yield from answered(joint, config, _ask(_can_id(config), 3, code), what)
     return int(answer.data[1])
 
 
 def _position(joint: int, config: JointConfig) -> Part[int]:
-    """Where the motor stands (counts); raises DialogueFailed."""
+    """The motor's position (counts); raises DialogueFailed."""
     answer = yield from answered(joint, config, _ask(_can_id(config), 8, READ_POSITION), "position")
     return int.from_bytes(answer.data[1:7], "big", signed=True)
 
 
 def _target(joint: int, config: JointConfig) -> Part[int]:
-    """Where the drive holds (counts): from where it stands by the error it tells; raises DialogueFailed."""
+    """The drive's target (counts): its position plus the error that it reports; raises DialogueFailed."""
     answer = yield from answered(joint, config, _ask(_can_id(config), 6, READ_ERROR), "angle error")
     error = int.from_bytes(answer.data[1:5], "big", signed=True)
     measured = yield from _position(joint, config)

@@ -1,4 +1,4 @@
-"""No drive: nothing is sent and nothing heard; `rtloop.bus.frames.mirror` measures what is commanded."""
+"""No drive: nothing is sent or received; `rtloop.bus.frames.mirror` makes the commanded position the measured one."""
 
 from compilation.jit import jit
 from rtloop.memory.state import Loop, Shared
@@ -6,38 +6,38 @@ from rtloop.memory.state import Loop, Shared
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
-    """Nobody is led."""
+    """Send nothing."""
 
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """It stands."""
+    """Send nothing: a mock joint is where it is commanded to be."""
     return True
 
 
 @jit
 def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
-    """Nobody answers."""
+    """Send nothing."""
 
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
-    """Nobody answers."""
+    """Send nothing."""
 
 
 @jit
 def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
-    """Nothing is said to it."""
+    """No frame is sent to a mock drive."""
     return False
 
 
 @jit
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
-    """Nothing was."""
+    """Do nothing: no frame is sent to a mock drive."""
 
 
 @jit
 def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
-    """It says nothing."""
+    """Do nothing: a mock drive sends no frames."""

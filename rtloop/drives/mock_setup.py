@@ -7,4 +7,4 @@ from config.schema import ArmConfig
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-    """The common numbers are enough."""
+    """Do nothing: a mock drive needs the common parameters only."""

@@ -1,17 +1,17 @@
-"""MyActuator RMD motors in the cycle: targets ahead for a drive that plans its own ramp.
+"""MyActuator RMD motors in the cycle: targets ahead (`rtloop.drives.leading`) for a drive that plans its own ramp.
 
 Protocol facts (Motor Motion Protocol V4.2 and V4.3 for V3 drivers; 2b-t/myactuator_rmd and its tests): standard
 identifiers, 140 + ID out and 240 + ID back, always 8 bytes, lowest byte first; an answer begins with the command's
 byte. A4 is an absolute target (0.01° of the output shaft) with the highest speed of its trapezoid (whole degrees a
-second), answered with temperature, current (0.01 A), speed (whole °/s) and an angle of whole degrees; 92 is answered
-with the angle in 0.01°; 9A with temperature, brake, voltage (0.1 V) and error word; 9C as A4 is; 81 stops, with the
-loop closed.
+second), answered with temperature, current (0.01 A), speed (whole °/s) and an angle of whole degrees. 92 is answered
+with the angle in 0.01°; 9A with temperature, brake, voltage (0.1 V) and error word; 9C in the same way as A4. 81 stops
+the motor and keeps its loop closed.
 
-A speed of 0 would be no limit at all, so 1 is the least that is sent.
+A speed of 0 would mean no limit at all, so the least speed that is sent is 1.
 
-Nothing in an answer says whether the motor holds its shaft. What is taken for that: it has answered a motion command
-since it was told to let go (80), and does not say that its brake is locked after having said that it was released
-(motors without a brake may say either).
+No answer says whether the motor holds its shaft. It is taken to hold if it has answered a motion command since it was
+shut down (80), and unless it reports a locked brake after having reported a released one (motors without a brake may
+report either).
 """
 
 from compilation.jit import jit
@@ -37,18 +37,19 @@ ERROR_MEANINGS = meanings(ERRORS, every=0xFFFF)
 
 @jit
 def identifier(loop: Loop, joint: int) -> int:
+    """The CAN identifier of requests to the joint's motor."""
     return int(REQUEST_BASE + loop.joints[joint].address)
 
 
 @jit
 def target_with_speed(angle: int, speed_dps: int) -> int:
-    """Data of A4."""
+    """Data of A4: angle (0.01°) and speed limit (°/s) of the output shaft."""
     return int(TARGET | speed_dps << 16 | (angle & 0xFFFFFFFF) << 32)
 
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
-    """The speed's rounding is carried over to the next period."""
+    """Send target and speed; the remainder of the speed's rounding is carried over to the next period."""
     row, axis = loop.joints[joint], loop.axes[joint]
     dps_per_rad_s = abs(row.command_per_rad) / STEPS_PER_DEGREE
     target, speed = leading.target_ahead(loop, joint, 0.5 / dps_per_rad_s)
@@ -65,6 +66,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
+    """Command a stop with the loop closed (81); False if the transmit buffer has no room."""
     return bool(outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, STOP, 0, joint))
 
 
@@ -76,7 +78,7 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
-    """One that is led tells its speed and current by that; one that is not is asked for them every other time."""
+    """Ask for the status; every other time for speed and current, unless a motion command of this cycle does so."""
     axis = loop.axes[joint]
     turn = loop.timing.cycle // loop.params.joint_count
     silent = axis.sent.led_cycle != loop.timing.cycle and axis.checks.bad_statuses == 0
@@ -99,6 +101,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
+    """Store what an answer holds: the position (92), speed and torque (A4, 9C), the status (9A), or a shutdown (80)."""
     row, axis = loop.joints[joint], loop.axes[joint]
     said = data & 255
     if length != 8:
@@ -124,7 +127,7 @@ def receive(
 
 @jit
 def holds(axis: Axis, brake: int) -> bool:
-    """Whether a motor that says so of its brake holds its shaft; see the head of this file."""
+    """Whether a motor that reports `brake` (0: locked) holds its shaft; see the head of this file."""
     if brake != 0:
         axis.drive.brake_released = 1
     return bool(axis.drive.is_disabled == 0 and (brake != 0 or axis.drive.brake_released == 0))
@@ -132,5 +135,5 @@ def holds(axis: Axis, brake: int) -> bool:
 
 @jit
 def common_status(enabled: bool, error: int) -> int:
-    """Whether it holds, and its error word, in common bits."""
+    """Whether the motor holds, and its error word, in common bits (`memory.status`)."""
     return words.meaning(error, ERROR_MEANINGS) | (status_bits.ENABLED if enabled else 0)

@@ -1,19 +1,20 @@
-"""Bring-up and release of a MyActuator RMD motor; what its frames are is said in `rtloop.drives.myactuator`.
+"""Bring-up and disabling of a MyActuator RMD motor; `rtloop.drives.myactuator` describes its frames.
 
-What it is asked (nothing moves): its angle, its errors, how fast it is, and the ramp of its position planning. One that
-is on its way is stopped (81). The ramp is written (43) only where it is another one, since that goes to its ROM; it is
-what brakes the joint when the motor hears nothing more, so it must be the one that the arm file asks for. Then the
-motor gets where it stands as its target, at one degree a second, and a brake that it says is locked is released (77).
+Bring-up reads (nothing moves): angle, errors, speed, and the ramp of the position planning. A moving motor is stopped
+(81). The ramp brakes the joint when the motor receives nothing more, so it must be the one that the arm file asks for;
+it is written (43) only if it differs, because it goes to the motor's ROM. Then the motor gets its own position as its
+target, at one degree a second, and a brake that it reports as locked is released (77).
 
-Errors that end by themselves are waited for; the others (stall, over-current, lost parameters, the encoder's) end with
-a restart only (V4.2 and V4.3, 8), for which a person's `rtarm clear-fault` is taken: the motor holds nothing then
-anyway.
+Errors that end by themselves are waited for, over a few readings, if the operator has asked to clear them. The others
+(stall, over-current, lost parameters, the encoder's) end with a restart only (V4.2 and V4.3, 8). The operator's
+`rtarm clear-fault` is taken as a request for that too: the motor holds nothing then anyway.
 
-The communication timeout (B3) is not used: it cuts the motor's output (V4.2, 2.30), so a joint without a brake falls,
-when a control process ends orderly too; nor can it be read. Silence is a stop on the ramp without it.
+The communication timeout (B3) is not used. It cuts the motor's output (V4.2, 2.30), so a joint without a brake would
+fall, also after an orderly end of the control process; and it cannot be read. Without it, silence means a stop along
+the ramp.
 
-Its last answer is its uptime (B1), by which a motor that was silent proves that it had power: it began before its mark
-was given, and went on since as the clock did.
+The last thing read is the uptime (B1), by which a motor that was silent proves that it had power: the uptime began
+before the mark was given, and has grown since as the clock did.
 """
 
 import math
@@ -63,23 +64,23 @@ ERRORS = (
     ErrorBit(0x2000, "encoder calibration", status_bits.ENCODER),
     ErrorBit(0x4000, "encoder data", status_bits.ENCODER),
 )
-"""Bits of the status' error word (V4.3)."""
+"""Bits of the error word in the status (V4.3)."""
 NEEDS_RESTART = 0x0002 | 0x0010 | 0x0080 | 0x2000 | 0x4000
 CREEP_DPS = 1
 ENABLED_BY_A_TARGET = True
-"""A motor that has lost its power is limp until its first target, so that one is not sent to it unasked."""
+"""A motor that lost its power has no torque until its first target, so no target is sent to it without a request."""
 RESTART_S = 5.0
-"""Patience with a restart, which takes 1.1 s."""
+"""Timeout of a restart, which takes 1.1 s."""
 HUNDREDTHS = 100.0
 CLOCK_TOLERANCE = 0.0158
-"""Of a motor's clock beside ours: CAN's specification (2.0, oscillator tolerance) lets none be further off."""
+"""Largest relative deviation of a motor's clock that CAN's specification (2.0, oscillator tolerance) allows."""
 UPTIME_STEP_MS = 1.0
 UPTIME_ROUND_MS = 1 << 32
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 class Uptime(NamedTuple):
-    """What a motor said of its uptime (B1), and between which times of this boot of this machine."""
+    """A motor's uptime (B1, ms), when it was asked for and when the answer came (ns), and the boot of this machine."""
 
     boot: str
     ms: int
@@ -88,7 +89,7 @@ class Uptime(NamedTuple):
 
     @classmethod
     def of_mark(cls, mark: str | None) -> "Uptime | None":
-        """What was kept as a mark, if it is one."""
+        """The uptime that was stored as a mark; None if `mark` is none."""
         try:
             boot, *numbers = (mark or "").split()
             return cls(boot, *map(int, numbers))
@@ -97,34 +98,37 @@ class Uptime(NamedTuple):
 
     @property
     def mark(self) -> str:
-        """The same to be kept."""
+        """This uptime as a mark to be stored."""
         return " ".join(map(str, self))
 
     def goes_on_from(self, before: "Uptime") -> bool:
-        """Whether it has grown by the time since, without having begun anew, which it also does after 49.7 days."""
+        """Whether the uptime has grown by the time since `before`; it starts anew with the power or at 49.7 days."""
         return self.least_ms_since(before) <= self.ms - before.ms <= self.most_ms_since(before)
 
     def proves_power_since(self, before: "Uptime") -> bool:
-        """Whether it has gone on since: the motor began before that, not after a loss of power since."""
+        """Whether the uptime shows that the motor started before `before`, and did not lose its power since."""
         return self.boot == before.boot and self.goes_on_from(before) and self.ms > self.most_ms_since(before)
 
     def began_since(self, before: "Uptime") -> bool:
-        """Whether the motor has surely begun anew since: its uptime is behind, no longer than that, and not round."""
+        """Whether the motor has surely restarted since `before`.
+
+        That is so if its uptime has grown too little, is no longer than the time since, and cannot have wrapped around.
+        """
         most_ms = self.most_ms_since(before)
         behind = self.ms - before.ms < self.least_ms_since(before)
         return self.boot == before.boot and behind and self.ms <= most_ms and before.ms + most_ms < UPTIME_ROUND_MS
 
     def least_ms_since(self, before: "Uptime") -> float:
-        """What a motor's clock makes of the time since at least (ms)."""
+        """The least time since `before` by a motor's clock (ms)."""
         return (self.asked_ns - before.heard_ns) * 1e-6 * (1.0 - CLOCK_TOLERANCE) - UPTIME_STEP_MS
 
     def most_ms_since(self, before: "Uptime") -> float:
-        """What a motor's clock makes of the time since at most (ms)."""
+        """The longest time since `before` by a motor's clock (ms)."""
         return (self.heard_ns - before.asked_ns) * 1e-6 * (1.0 + CLOCK_TOLERANCE) + UPTIME_STEP_MS
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-    """What the cycle needs of a motor; see `rtloop.drives.setup.Setup`."""
+    """Write the parameters of a motor for the cycle; see `rtloop.drives.setup.Setup`."""
     drive = _drive(joint)
     row["silence_deceleration_rad_s2"] = math.radians(ramp_dps_s(joint, arm)) / joint.ratio
     if drive.nm_per_ampere is not None:
@@ -132,13 +136,13 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
 
 
 def ramp_dps_s(joint: JointConfig, arm: ArmConfig) -> int:
-    """The ramp with which a motor brakes in silence (degrees/s² of its output shaft)."""
+    """The ramp along which a motor brakes when it receives nothing more (degrees/s² of its output shaft)."""
     wanted = joint.max_acceleration_rad_s2 * arm.limits.silence_brake_factor * joint.ratio
     return min(max(round(math.degrees(wanted)), RAMP_DPS_S[0]), RAMP_DPS_S[1])
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
-    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     drive = _drive(config)
     if (yield _asked(drive, ANGLE)) is None:
@@ -161,7 +165,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         yield from _answered(joint, config, RELEASE_BRAKE, "brake")
     reading = yield from _angle(joint, config)
     reason = Unreferenced.POWER_LOST if restarted else Unreferenced.INCREMENTAL
-    # The last question, so that it speaks for all that was read before.
+    # The last question, so that it covers everything that was read before.
     up = yield from _agreed_uptime(host, joint)
     if drive.knows_its_angle:
         host.marks[joint] = up.mark if up else None
@@ -174,12 +178,12 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
-    """What `rtloop.drives.setup.PowerProof` says."""
+    """See `rtloop.drives.setup.PowerProof.kept_power`."""
     return _proves((yield from _agreed_uptime(host, joint)), host.marks[joint])
 
 
 def place(host: ReferencingHost, joint: int, angle_rad: float) -> Dialogue:
-    """What `rtloop.drives.setup.Places` says: its mark is renewed, which must not be older than the angle."""
+    """See `rtloop.drives.setup.Places.place`; the mark is renewed, because it must not be older than the angle."""
     if not host.arm.joints[joint].drive.knows_its_angle:
         up = yield from _agreed_uptime(host, joint)
         host.marks[joint] = up.mark if up else None
@@ -192,7 +196,7 @@ def _proves(up: Uptime | None, mark: str | None) -> bool:
 
 
 def _agreed_uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
-    """The second of two that go on from each other, since one alone may be garbled; None where it tells none."""
+    """The motor's uptime, confirmed by two readings in a row, as one alone may be garbled; None without an answer."""
     before = None
     for _ in range(TRIES):
         found = yield from _uptime(host, joint)
@@ -203,7 +207,7 @@ def _agreed_uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
 
 
 def _uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
-    """What it says of its uptime; None where it does not."""
+    """Read the motor's uptime once; None if it does not answer."""
     asked_ns = host.now_ns + suspended_ns()
     answer = yield _asked(_drive(host.arm.joints[joint]), UPTIME)
     if answer is None:
@@ -213,12 +217,12 @@ def _uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
 
 
 def suspended_ns() -> int:
-    """For how long this machine was suspended since it booted: the clock of `now_ns` stood, and motors ran."""
+    """How long this machine was suspended since it booted: the clock of `now_ns` stood still while motors ran on."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
 
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
-    """Shut the motor down, which says so; raises DialogueFailed."""
+    """Shut the motor down, which it acknowledges; raises DialogueFailed."""
     config = arm.joints[joint]
     if (yield _asked(_drive(config), SHUTDOWN)) is None:
         raise DialogueFailed(
@@ -229,7 +233,7 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 
 def _without_errors(host: Host, joint: int) -> Part[bool]:
-    """See that the motor has no error; whether it was restarted for that; raises DialogueFailed."""
+    """Check that the motor has no error, restarting it if need be; whether it was restarted. Raises DialogueFailed."""
     config = host.arm.joints[joint]
     error = yield from _error(joint, config)
     if not error:
@@ -262,7 +266,7 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
 
 
 def _at_rest(joint: int, config: JointConfig) -> Part[None]:
-    """Stop a motor that is on its way; raises DialogueFailed."""
+    """Stop the motor if it moves; raises DialogueFailed."""
     for _ in range(TRIES * TRIES):
         feedback = yield from _answered(joint, config, FEEDBACK, "speed")
         if struct.unpack_from("<h", feedback, 4)[0] == 0:
@@ -276,7 +280,7 @@ def _at_rest(joint: int, config: JointConfig) -> Part[None]:
 
 
 def _with_its_ramp(host: Host, joint: int) -> Part[None]:
-    """Have the motor brake in silence as the arm file says; raises DialogueFailed."""
+    """Check the ramps of the motor's position planning, and write those that differ; raises DialogueFailed."""
     config = host.arm.joints[joint]
     wanted = ramp_dps_s(config, host.arm)
     up = yield from _with_ramp(joint, config, *RAMPS[0], wanted)
@@ -317,7 +321,7 @@ def _frame(drive: MyactuatorDrive, command: int, data: bytes = b"") -> Frame:
 
 
 def _asked(drive: MyactuatorDrive, command: int, data: bytes = b"") -> AskFrames:
-    """A command, and its answer, which begins as it does."""
+    """A command whose answer begins with the same byte, and for a ramp with the same index too."""
     request = _frame(drive, command, data)
     same = 2 if command in (READ_RAMP, WRITE_RAMP) else 1
 
@@ -329,12 +333,12 @@ def _asked(drive: MyactuatorDrive, command: int, data: bytes = b"") -> AskFrames
 
 
 def _answered(joint: int, config: JointConfig, command: int, what: str, data: bytes = b"") -> Part[bytes]:
-    """The data of the answer; raises DialogueFailed where there is none."""
+    """The data of the answer to a command; raises DialogueFailed if there is none."""
     return bytes((yield from answered(joint, config, _asked(_drive(config), command, data), what)).data)
 
 
 def _angle(joint: int, config: JointConfig) -> Part[int]:
-    """Angle of its output shaft (0.01°), as it will be told to hold it; raises DialogueFailed."""
+    """Angle of the output shaft (0.01°), read twice in a row, to become a target; raises DialogueFailed."""
 
     def read() -> Part[int]:
         data = yield from _answered(joint, config, ANGLE, "position")
@@ -344,12 +348,12 @@ def _angle(joint: int, config: JointConfig) -> Part[int]:
 
 
 def _error(joint: int, config: JointConfig) -> Part[int]:
-    """The error word; raises DialogueFailed."""
+    """Read the error word; raises DialogueFailed."""
     data = yield from _answered(joint, config, STATUS, "status")
     return int(struct.unpack_from("<H", data, 6)[0])
 
 
 def _ramp(joint: int, config: JointConfig, index: int, name: str) -> Part[int]:
-    """A ramp of its position planning (degrees/s²); raises DialogueFailed."""
+    """Read a ramp of the position planning (degrees/s²); raises DialogueFailed."""
     data = yield from _answered(joint, config, READ_RAMP, name, bytes((index,)))
     return int(struct.unpack_from("<I", data, 4)[0])

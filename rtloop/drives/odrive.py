@@ -1,12 +1,12 @@
-"""ODrive with CANSimple in the cycle: a follower of set-points, told position and velocity in one frame.
+"""ODrive with CANSimple in the cycle: it follows set-points, with position and velocity in one frame.
 
 Protocol facts (firmware 0.5.6: its CAN guide and DBC file; firmware 0.6: ODrive's CAN protocol page, and
 can_simple_messages.hpp and odrive_enums.h in odriverobotics/ros_odrive): standard identifiers, node << 5 | command,
-little-endian. 0C is an input position (float turns, velocity and torque ahead as int16 of 0.001); 09 are the encoder's
-estimates (float turns, turns/s), 17 bus voltage and current, 14 motor current, each told when a remote frame asks for
-it; 01 is the heartbeat, which comes by itself: error word and axis state in its first five bytes, whatever the
-firmware. What the error's bits mean is another thing with 0.6, which tells its version when asked (00); 0.5 is silent
-then.
+little-endian. 0C is an input position (float turns, velocity and torque feed-forward as int16 of 0.001). 09 are the
+encoder's estimates (float turns, turns/s), 17 bus voltage and current, 14 motor current; the drive sends each of them
+when a remote frame requests it. 01 is the heartbeat, which comes by itself: error word and axis state are its first
+five bytes, whatever the firmware. The error's bits have another meaning with firmware 0.6, which answers a request for
+its version (00); 0.5 does not answer that.
 
 Firmware 0.5.6 answers 09 with 0.0 and 0.0 until its loop has been closed once since power came (can_simple.cpp of
 odriverobotics/ODrive reads what start_closed_loop_control in axis.cpp connects).
@@ -45,18 +45,20 @@ MEANINGS_0_5, MEANINGS_0_6 = meanings(ERRORS_0_5, every=0xFFFFFFFF), meanings(ER
 
 @jit
 def identifier(loop: Loop, joint: int, command: int) -> int:
+    """The CAN identifier of a command to the joint's node."""
     return int(loop.joints[joint].address << 5 | command)
 
 
 @jit
 def input_position(turns: float, turns_s: float) -> int:
-    """Data of 0C: a position, and the velocity that belongs to it."""
+    """Data of 0C: a position (turns) and its velocity (turns/s)."""
     ahead = words.bounded(turns_s * AHEAD_PER_UNIT, MOST_AHEAD) & 0xFFFF
     return words.float_word(turns) | ahead << 32
 
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    """Send the set-point of this cycle; an axis that got no set-points for a while catches up gradually."""
     row, axis = loop.joints[joint], loop.axes[joint]
     position_rad, velocity_rad_s = following.setpoint(loop, joint)
     position_rad -= following.still_behind_rad(loop, joint, position_rad)
@@ -69,7 +71,10 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """Hold where it is measured: 02, its emergency stop, would let it fall. Unled it stands at its last target."""
+    """Command the axis to hold its measured position; its emergency stop (02) would let the joint fall.
+
+    Without new targets the axis stands at its last one, so nothing is sent if its position is not known.
+    """
     row, axis = loop.joints[joint], loop.axes[joint]
     if not monitor.knows_where_it_stands(loop, joint):
         return True
@@ -85,7 +90,7 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
-    """Its status comes by itself; what else it measures is asked for in turn."""
+    """Ask for bus voltage and motor current in turn; the status comes by itself with the heartbeat."""
     turn = loop.timing.cycle // loop.params.joint_count
     what = CURRENT if turn & 1 and loop.joints[joint].effort_per_unit != 0.0 else BUS
     outgoing.send(loop, shared, identifier(loop, joint, what), REMOTE, ANSWER_BYTES, 0)
@@ -93,19 +98,20 @@ def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
-    """Conversations let it stand by other means."""
+    """Service dialogues stop the axis by other means."""
     return False
 
 
 @jit
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
-    """What it sends unasked is counted as if it were reports; nothing depends on that."""
+    """Do nothing: a position that the cycle did not ask for is counted as a report, and nothing depends on that."""
 
 
 @jit
 def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
+    """Store estimates, supply voltage, torque, the heartbeat's status, or the firmware's version."""
     row = loop.joints[joint]
     command = frame_id & (COMMANDS - 1)
     if length != 8:
@@ -129,9 +135,10 @@ def receive(
 
 @jit
 def tells_zeros(loop: Loop, joint: int, position_rad: float) -> bool:
-    """Whether estimates of 0.0 and 0.0 are where the axis stands, and not what firmware 0.5.6 says for "unknown".
+    """Whether estimates of 0.0 and 0.0 are the axis's position, and not what firmware 0.5.6 sends for "unknown".
 
-    They are if the axis was just measured there, or has said since it was measured last that its loop is closed.
+    They are its position if it was just measured near there, or if, after its last measurement, it has reported that
+    its loop is closed.
     """
     axis = loop.axes[joint]
     if axis.drive.firmware >= FIRMWARE_0_6:

@@ -1,11 +1,10 @@
-"""Bring-up and release of an ODrive axis with CANSimple; what its frames are is said in `rtloop.drives.odrive`.
+"""Bring-up and disabling of an ODrive axis with CANSimple; `rtloop.drives.odrive` describes its frames.
 
-What it is asked (nothing moves): its position, its firmware's version, then its heartbeat, which says whether it has
-an error and whether it is in closed loop. An axis that is idle gets its input position put to where it stands before
-its loop is closed. One that tells no position yet, as 0.5.6 before its first closed loop, gets none: firmware 0.5
-begins a closed loop where it stands. One whose loop is closed gets an input position too, because nothing tells what
-its old one is, and the modes are set behind that: where it stood still it keeps standing, by as much as it was off its
-old one.
+Bring-up reads (nothing moves): the position, the firmware's version, then the heartbeat with the error and whether the
+loop is closed. An idle axis gets its position as its input position before its loop is closed. An axis that reports no
+position yet, as 0.5.6 before its first closed loop, gets no input position: firmware 0.5 begins a closed loop where it
+stands. An axis whose loop is closed gets an input position too, because its old one cannot be read, and the modes are
+set after that. If it stood still it keeps standing, off its new input position by as much as it was off its old one.
 """
 
 import math
@@ -30,11 +29,11 @@ from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
 COMMANDS = 32
-"""Commands of a node: the lowest bits of an identifier."""
+"""Number of commands of a node; the command is the lowest bits of an identifier."""
 VERSION, HEARTBEAT, AXIS_STATE, ESTIMATES, MODES, INPUT_POSITION = 0x00, 0x01, 0x07, 0x09, 0x0B, 0x0C
 CURRENT, BUS, CLEAR_ERRORS = 0x14, 0x17, 0x18
 ANSWER_BYTES = 8
-"""Length of every answer, which a remote frame names."""
+"""Length of every answer, which the remote frame states too."""
 
 IDLE, CLOSED_LOOP = 1, 8
 POSITION_CONTROL, PASSTHROUGH = 3, 1
@@ -82,7 +81,7 @@ ERRORS_0_6 = (
 )
 """The same of firmware 0.6 (odrive_enums.h in odriverobotics/ros_odrive)."""
 INITIALIZING = 1
-"""The error of a board with firmware 0.6 that has just got power."""
+"""Error word of a board with firmware 0.6 that has just got power."""
 RESULTS = (
     "success",
     "busy",
@@ -101,15 +100,15 @@ RESULTS = (
     "not calibrated",
     "not converging",
 )
-"""What firmware 0.6 says in its heartbeat of the state that it was asked for last (the same file)."""
+"""Result, in the heartbeat of firmware 0.6, of the last request for a state (the same file)."""
 
 MISSED_HEARTBEATS = 3
 BUSY_S = 2.0
-"""An axis closes its loop within less, unless it must be calibrated first."""
+"""An axis closes its loop in less time than this, unless it must be calibrated first."""
 
 
 class Firmware(NamedTuple):
-    """Version of a drive's firmware; 0.5 does not tell it."""
+    """Version of a drive's firmware; 0.5 does not report it."""
 
     major: int = 0
     minor: int = 5
@@ -117,7 +116,7 @@ class Firmware(NamedTuple):
 
     @property
     def is_0_6(self) -> bool:
-        """Whether it speaks as 0.6 does."""
+        """Whether its protocol is that of 0.6."""
         return self.major << 8 | self.minor >= FIRMWARE_0_6
 
     def __str__(self) -> str:
@@ -125,7 +124,7 @@ class Firmware(NamedTuple):
 
 
 class Beat(NamedTuple):
-    """What a heartbeat says; `result` only with firmware 0.6."""
+    """Contents of a heartbeat; `result` counts with firmware 0.6 only."""
 
     error: int
     state: int
@@ -133,7 +132,7 @@ class Beat(NamedTuple):
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-    """What the cycle needs of an ODrive axis; see `rtloop.drives.setup.Setup`."""
+    """Write the parameters of an ODrive axis for the cycle; see `rtloop.drives.setup.Setup`."""
     drive = _drive(joint)
     row["command_per_rad"] = row["reading_per_rad"] = joint.direction * joint.ratio / (2.0 * math.pi)
     row["status_timeout_ns"] = MISSED_HEARTBEATS * drive.heartbeat_ms * 1_000_000
@@ -142,7 +141,7 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
-    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     node = _drive(config).node_id
     if (yield _asked(node, ESTIMATES)) is None:
@@ -155,7 +154,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         here = _frame(node, INPUT_POSITION, struct.pack("<fhh", standing, 0, 0))
         modes = _frame(node, MODES, struct.pack("<II", POSITION_CONTROL, PASSTHROUGH))
         if standing != 0.0 or beat.state == CLOSED_LOOP or firmware.is_0_6:
-            yield say(here)  # twice: modes without it would send an axis to whatever its input position is
+            yield say(here)  # sent twice: if it were lost, the modes would send the axis to its old input position
             yield say(here, modes)
         else:
             yield say(modes)
@@ -178,7 +177,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
-    """Let the axis go idle, and see that it has; raises DialogueFailed."""
+    """Set the axis to idle, and check that its loop is open; raises DialogueFailed."""
     config = arm.joints[joint]
 
     def told() -> Part[str]:
@@ -190,12 +189,12 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 
 def error_words(error: int, firmware: Firmware) -> str:
-    """The heartbeat's error word for people."""
+    """The heartbeat's error word in words."""
     return errors.error_words(error, ERRORS_0_6 if firmware.is_0_6 else ERRORS_0_5)
 
 
 def _why_open(beat: Beat, firmware: Firmware) -> str:
-    """What a heartbeat says of a loop that is not closed."""
+    """Why a loop is not closed, according to a heartbeat."""
     if beat.error:
         return f"its error is {error_words(beat.error, firmware)}"
     if firmware.is_0_6 and 0 < beat.result < len(RESULTS):
@@ -204,13 +203,13 @@ def _why_open(beat: Beat, firmware: Firmware) -> str:
 
 
 def _firmware(node: int) -> Part[Firmware]:
-    """The version that the node tells, or that of those which do not."""
+    """The firmware's version; 0.5 if the node does not answer the request for it."""
     answer = yield _asked(node, VERSION)
     return Firmware() if answer is None else Firmware(*answer.data[4:7])
 
 
 def _without_errors(host: Host, joint: int, firmware: Firmware) -> Part[Beat]:
-    """Clear its errors, if a person has asked for that; raises DialogueFailed."""
+    """Check that the axis has no error, and clear one if the operator asked for that; raises DialogueFailed."""
     config = host.arm.joints[joint]
     beat = yield from _heartbeat(host.arm, joint, lambda beat: not (firmware.is_0_6 and beat.error == INITIALIZING))
 
@@ -242,13 +241,13 @@ def _frame(node: int, command: int, data: bytes = b"") -> Frame:
 
 
 def _asked(node: int, command: int) -> AskFrames:
-    """A remote frame for one of the node's values."""
+    """A request (remote frame) for one of the node's values."""
     request = Frame(node << 5 | command, bytes(ANSWER_BYTES), kind=STANDARD | REMOTE)
     return AskFrames((request,), lambda frame: frame.id & (COMMANDS - 1) == command and len(frame.data) == ANSWER_BYTES)
 
 
 def _turns(joint: int, config: JointConfig) -> Part[float]:
-    """Where the motor stands; raises DialogueFailed."""
+    """The motor's position (turns); raises DialogueFailed."""
     for _ in range(TRIES):
         answer = yield from answered(joint, config, _asked(_drive(config).node_id, ESTIMATES), "position")
         turns = float(struct.unpack("<f", answer.data[:4])[0])
@@ -262,9 +261,9 @@ def _turns(joint: int, config: JointConfig) -> Part[float]:
 
 
 def _heartbeat(arm: ArmConfig, joint: int, until: Callable[[Beat], bool]) -> Part[Beat]:
-    """The next heartbeat that is as wanted, or the last within a while.
+    """Wait for a heartbeat that is as wanted; after a timeout, the last one.
 
-    Raises DialogueFailed where none comes.
+    Raises DialogueFailed if none came.
     """
     config = arm.joints[joint]
     heartbeat_s = _drive(config).heartbeat_ms * 1e-3
@@ -273,7 +272,7 @@ def _heartbeat(arm: ArmConfig, joint: int, until: Callable[[Beat], bool]) -> Par
     waited_s = silent_s = 0.0
     while waited_s < MISSED_HEARTBEATS * heartbeat_s + BUSY_S and silent_s < MISSED_HEARTBEATS * heartbeat_s:
         frame = yield listened
-        if frame is None:  # it may be less than a heartbeat that was listened for
+        if frame is None:  # that wait may have been shorter than the time between heartbeats
             waited_s += TRIES * answer_patience_s(arm)
             silent_s += TRIES * answer_patience_s(arm)
             continue

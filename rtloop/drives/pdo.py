@@ -1,7 +1,7 @@
-"""CANopen's process data objects, as a drive's dialogue sees to them (CiA 301).
+"""CANopen's process data objects (PDO), as a drive's dialogue checks and configures them (CiA 301).
 
-A PDO has an identifier, of which one bit says that it is off, a transmission type, and up to eight objects mapped into
-it. It is mapped anew while it is off: number of objects 0, each object, their number, and then on again.
+A PDO has an identifier with a bit that turns it off, a transmission type, and up to eight objects mapped into it. It is
+remapped while it is off: the number of objects is set to 0, then each object and their number, then it is turned on.
 """
 
 from __future__ import annotations
@@ -10,14 +10,15 @@ from rtloop.drives.sdo import Node, Object
 from rtloop.service.conversation import Part
 
 RECEIVED, TOLD = 0x1400, 0x1800
-"""First objects of the PDOs that a drive hears and says; where they are mapped stands `MAPPED` further on."""
+"""First objects of the PDOs that a drive receives (RPDO) and sends (TPDO)."""
 MAPPED = 0x200
+"""Distance from a PDO's object to the object that holds its mapping."""
 PREDEFINED = 4
 """PDOs of each kind that may be on by default."""
 SYNCHRONOUS = 1
 """Transmission type: with every SYNC."""
 NOT_VALID, NO_REMOTE = 1 << 31, 1 << 30
-"""Bits of a PDO's identifier: it is off; it is not told on request, which some drives insist on."""
+"""Bits of a PDO's identifier: the PDO is off; it is not sent on a remote request, which some drives insist on."""
 
 
 def identifier_of(pdo: int) -> Object:
@@ -29,12 +30,12 @@ def type_of(pdo: int) -> Object:
 
 
 def mapping_of(pdo: int, number: int) -> Object:
-    """What a PDO holds: number 0 is how many objects, the others are those."""
+    """An entry of a PDO's mapping: number 0 is how many objects are mapped, the others are these objects."""
     return Object(pdo + MAPPED, number, 4 if number else 1, "PDO's mapping")
 
 
 def fits(node: Node, pdo: int, identifier: int, objects: tuple[int, ...]) -> Part[bool]:
-    """Whether a PDO is valid and as it should be."""
+    """Whether a PDO is on and has this identifier, the synchronous type and exactly these objects."""
     valid = yield from node.read(identifier_of(pdo))
     if valid & ~NO_REMOTE != identifier or (yield from node.read_if_there(type_of(pdo))) != SYNCHRONOUS:
         return False
@@ -45,7 +46,7 @@ def fits(node: Node, pdo: int, identifier: int, objects: tuple[int, ...]) -> Par
 
 
 def map_anew(node: Node, pdo: int, identifier: int, objects: tuple[int, ...]) -> Part[None]:
-    """Map a PDO anew: off, taken apart, put together, on (CiA 301)."""
+    """Map a PDO anew (CiA 301): turn it off, clear its mapping, write the new one, turn it on."""
     if pdo == TOLD:
         identifier |= (yield from node.read(identifier_of(pdo))) & NO_REMOTE
     yield from node.write(identifier_of(pdo), identifier | NOT_VALID)
@@ -58,7 +59,7 @@ def map_anew(node: Node, pdo: int, identifier: int, objects: tuple[int, ...]) ->
 
 
 def turn_off(node: Node, pdo: int) -> Part[None]:
-    """A PDO that nobody here uses would load the bus, or take another family's frames for its own."""
+    """Turn off a PDO that is not used here: it would load the bus, or take another family's frames for its own."""
     identifier = identifier_of(pdo)
     found = yield from node.read_if_there(identifier)
     if found is not None and not found & NOT_VALID:

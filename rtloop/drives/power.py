@@ -1,8 +1,8 @@
-"""Proof that a drive has kept its power, so that a silence of it has cost no angle.
+"""Proof that a drive has kept its power, so that a silence of the drive did not cost the joint its angle.
 
-Each family proves it in its bring-up in its own way, or not at all: by a mark, which is something that the drive was
-told or has said and that a loss of power takes from it. What it was is remembered, also beyond the life of a control
-process, so that a crash costs no angle either. What a drive does not prove stays as it would be without all this.
+Each family proves it in its bring-up in its own way, or not at all. The proof is a mark: something that the drive was
+told or has reported, and that it loses with its power. Marks are stored beyond the life of a control process, so that a
+crash costs no angle either. Without a proof everything stays as it would be without marks.
 
 | family | its mark |
 |---|---|
@@ -12,11 +12,11 @@ process, so that a crash costs no angle either. What a drive does not prove stay
 | Damiao | armed (*enabled*), likewise |
 | RobStride | armed (*run*), likewise |
 | ODrive | none: an axis may be set to close its loop when power comes, and CANSimple does not tell whether it is |
-| MKS | none: it keeps whatever it is told, and tells no uptime |
+| MKS | none: it keeps every setting without power, and reports no uptime |
 | any with an absolute encoder | none is needed; MyActuator's is, before an arm goes on by itself: a target enables it |
 
-A count that begins where power came is given its angle by a person, or a homing run, in each control process. So what
-these drives prove saves an angle from a silence, not from the end of the process that was told it; ZDT's does both.
+A count that begins where the power came gets its angle from a person or a homing run, in each control process. So the
+proof of these drives saves an angle over a silence, but not over the end of the process; ZDT's proof does both.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from collections.abc import Callable, Collection, Mapping
 
 
 class Marks:
-    """The mark of each joint's drive, by the joint's number; a drive without one proves nothing."""
+    """The mark of each joint's drive, by the joint's number; a drive without a mark proves nothing."""
 
     def __init__(
         self,
@@ -33,10 +33,11 @@ class Marks:
         keep: Callable[[Mapping[int, str]], object] = lambda marks: None,
         unproven: Collection[int] = (),
     ) -> None:
-        """`known` are those of before, `keep` remembers them all whenever one changes.
+        """`known` are the stored marks; `keep` is called with all marks whenever one changes, and stores them.
 
         `unproven`: joints whose drive keeps a mark over a loss of power, or takes none (`rtloop.kept.commissioned`).
-        Theirs proves nothing, and they get no other; one that is surely gone speaks against the angle all the same.
+        Their mark proves nothing, and they get no new one. If such a mark is surely gone, that still speaks against the
+        angle.
         """
         self._keep, self._unproven = keep, unproven
         self._marks = dict(known or {})
@@ -47,7 +48,7 @@ class Marks:
         return joint not in self._unproven
 
     def known(self, joint: int) -> str | None:
-        """What the joint's drive was marked with, whether or not that proves anything."""
+        """The mark of the joint's drive, whether or not it proves anything."""
         return self._marks.get(joint)
 
     def __getitem__(self, joint: int) -> str | None:
@@ -63,15 +64,15 @@ class Marks:
         self._keep(self._marks)
 
     def give_once_referenced(self, joint: int, mark: str | None) -> None:
-        """A drive whose joint's angle is lost has no mark, and gets one that speaks for the angle that is said next."""
+        """Remove the mark of a drive whose joint's angle is lost; once the joint is referenced, `mark` replaces it."""
         self[joint] = None
         self._until_referenced[joint] = mark
 
     def borne(self, joint: int) -> str | None:
-        """What the joint's drive is marked with, also where that waits for a reference."""
+        """The mark of the joint's drive, or the one that waits until the joint is referenced."""
         return self[joint] or self._until_referenced.get(joint)
 
     def referenced(self, joint: int) -> None:
-        """The joint's angle is known again."""
+        """Set the mark that has waited for the joint's reference: its angle is known again."""
         if joint in self._until_referenced:
             self[joint] = self._until_referenced.pop(joint)

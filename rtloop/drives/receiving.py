@@ -1,4 +1,7 @@
-"""What a drive has said, kept for its joint: families of drives decode their bytes and call these."""
+"""Store what a drive has reported in its joint's record: the drive families decode their frames and call these.
+
+Positions, velocities and efforts are those of the joint.
+"""
 
 from compilation.jit import jit
 from rtloop.memory.axis import QUESTIONS
@@ -8,9 +11,10 @@ from rtloop.safety import monitor
 
 @jit
 def receive_position(loop: Loop, joint: int, position_rad: float, time_ns: int) -> None:
-    """Keep a position until all bytes of the cycle are read: answers that come twice, late or in a burst count once.
+    """Store a position; it counts once all bytes of the cycle are read, so that a duplicate or a burst counts once.
 
-    Answers and reports are the same bytes; what comes while no question is open is a report.
+    An answer and a report consist of the same bytes: a position that comes while no question is open is a report.
+    `time_ns` is when the frame arrived.
     """
     axis, row = loop.axes[joint], loop.joints[joint]
     reply = axis.reply
@@ -29,37 +33,37 @@ def receive_position(loop: Loop, joint: int, position_rad: float, time_ns: int) 
 
 @jit
 def note_question(loop: Loop, joint: int) -> None:
-    """A drive was asked for its position: an answer to come is no report."""
+    """Count a question for a drive's position, so that its answer is not taken for a report."""
     loop.axes[joint].reply.questions = min(loop.axes[joint].reply.questions + 1, QUESTIONS)
 
 
 @jit
 def receive_velocity(loop: Loop, joint: int, velocity_rad_s: float) -> None:
-    """Keep the joint's velocity as its drive measures it."""
+    """Store the joint's velocity as its drive measures it."""
     loop.axes[joint].drive.velocity_rad_s = velocity_rad_s
 
 
 @jit
 def receive_effort(loop: Loop, joint: int, effort_nm: float) -> None:
-    """Keep the torque at the joint."""
+    """Store the torque at the joint."""
     loop.axes[joint].drive.effort_nm = effort_nm
 
 
 @jit
 def receive_temperature(loop: Loop, joint: int, temperature_c: float) -> None:
-    """Keep the highest temperature that the drive reports."""
+    """Store the highest temperature that the drive reports."""
     loop.axes[joint].drive.temperature_c = temperature_c
 
 
 @jit
 def receive_voltage(loop: Loop, joint: int, voltage_v: float) -> None:
-    """Keep the drive's supply."""
+    """Store the drive's supply voltage."""
     loop.axes[joint].drive.voltage_v = voltage_v
 
 
 @jit
 def receive_status(loop: Loop, joint: int, status: int) -> None:
-    """Take status bits (`rtloop.memory.status`); a drive that may be in trouble is asked again at once."""
+    """Take status bits (`rtloop.memory.status`); after a first bad status this drive is the next one asked for it."""
     loop.bus.unacknowledged_since_ns = 0
     monitor.take_status(loop, joint, status)
     if loop.axes[joint].checks.bad_statuses == 1:
@@ -68,7 +72,7 @@ def receive_status(loop: Loop, joint: int, status: int) -> None:
 
 @jit
 def receive_refusal(loop: Loop, shared: Shared, joint: int, of_motion: bool) -> None:
-    """A drive has refused a command."""
+    """Count a command that a drive has refused, and of a motion command also for its joint."""
     shared.counters.drive_errors += 1
     if of_motion:
         monitor.take_refusal(loop, joint)

@@ -1,23 +1,25 @@
 """RobStride motors and the Xiaomi CyberGear in the cycle.
 
 Protocol facts (the CyberGear's manual in belovictor/cybergear-docs; sirwart/robstride; RobStride/Python_Sample):
-extended identifiers, type << 24 | data16 << 8 | for whom. Type 1 is a set-point with gains (position, velocity,
+extended identifiers, type << 24 | data16 << 8 | receiver. Type 1 is a set-point with gains (position, velocity,
 stiffness, damping: 16 bits each, highest byte first; torque in data16), 17 reads and 18 writes a parameter (index and
 value lowest byte first). All but 17 are answered with type 2: position, velocity, torque, temperature (highest byte
-first), and in the identifier the motor, its faults and whether it runs. Type 21 is said by itself where it fails.
+first), and in the identifier the motor, its faults and whether it runs. A motor sends type 21 by itself when it fails.
 
-Beyond the end of the position field RobStrides go on at its other end (their manuals of 2026, 4.2.3), others stay at
-its end. Parameter 7019 goes on in both, and so does what 7016 means, so a motor that is told to stay where such a field
-says would turn by twice the field's range: a field is read as the place next to where the motor was just measured.
+Beyond an end of the position field, RobStrides go on at its other end (their manuals of 2026, 4.2.3), other motors stay
+at its end. Parameter 7019 goes on in both, and so does the meaning of 7016. So a motor that is told to stay where such
+a field says would turn by twice the field's range. A field is therefore decoded as the position next to the one that
+was just measured.
 
-Mode control: a follower of set-points. A frame that leads it is answered with all it measures, so nothing is asked.
+Mode control: the motor follows set-points. It answers each of them with all it measures, so nothing else is asked.
 
-Modes position and csp: its own position loop, a gain on the distance to the target within a speed limit, and no ramp
-that anything is known of (run mode 1 of RobStrides has one and ignores this speed limit; 5 is like the CyberGear's 1).
-A target at the set-point would be followed 1/gain late and in steps, so it is led as drives with a ramp are: the speed
-limit sets the pace, and the target lies so far ahead that the limit is what counts until the next frame: by a period,
-by the way of the frame, and by what the loop begins to slow down at (speed / gain). In silence it therefore goes on for
-that long and stops on the target, not faster than with speed × gain.
+Modes position and csp: the motor's own position loop, a gain on the distance to the target within a speed limit,
+without a known ramp (run mode 1 of RobStrides has one and ignores this speed limit; 5 is like the CyberGear's 1). A
+target at the set-point would be followed 1/gain late and in steps. So the motor is commanded like drives with a ramp:
+the speed limit sets the pace, and the target lies so far ahead that the limit counts until the next frame: by the
+motion of a period, of the frame's delay, and by the distance at which the loop begins to slow down (speed / gain). When
+it receives nothing more, it therefore goes on for that long and stops on the target, braking with no more than
+speed × gain.
 """
 
 import math
@@ -66,12 +68,13 @@ FAULT_MEANINGS = (
 
 @jit
 def identifier(loop: Loop, joint: int, kind: int, data16: int) -> int:
+    """The CAN identifier of a frame of type `kind` to the joint's motor."""
     return int(kind << TYPE_BIT | data16 << 8 | loop.joints[joint].address)
 
 
 @jit
 def set_point(loop: Loop, joint: int, position: float, velocity: float) -> int:
-    """Data of type 1, position and velocity being those of its output shaft (rad, rad/s)."""
+    """Data of type 1; position and velocity are those of the output shaft (rad, rad/s)."""
     row = loop.joints[joint]
     place = words.swapped(words.field(position, row.range_rad, BITS), 2)
     speed = words.swapped(words.field(velocity, row.range_rad_s, BITS), 2)
@@ -80,12 +83,13 @@ def set_point(loop: Loop, joint: int, position: float, velocity: float) -> int:
 
 @jit
 def parameter(index: int, value: float) -> int:
-    """Data of type 18, and with 0 of type 17."""
+    """Data of type 18, and with value 0 of type 17."""
     return int(index | words.float_word(value) << 32)
 
 
 @jit
 def send_set_point(loop: Loop, joint: int, shared: Shared, position: float, velocity: float, stops: int) -> bool:
+    """Send a set-point of type 1 (rad and rad/s of the output shaft); False if the transmit buffer has no room."""
     data = set_point(loop, joint, position, velocity)
     sent = outgoing.send(loop, shared, identifier(loop, joint, CONTROL, NO_TORQUE), EXTENDED, 8, data, 0, stops)
     return told(loop, joint, sent)
@@ -93,7 +97,7 @@ def send_set_point(loop: Loop, joint: int, shared: Shared, position: float, velo
 
 @jit
 def send_target(loop: Loop, joint: int, shared: Shared, speed: float, target: float, stops: int) -> bool:
-    """A speed limit and a target for its own position loop (rad/s, rad of its output shaft)."""
+    """Send speed limit and target of the motor's own position loop (rad/s and rad of its output shaft)."""
     frame_id = identifier(loop, joint, WRITE, loop.joints[joint].host_id)
     if not outgoing.has_room(loop, 2):
         return False
@@ -105,7 +109,7 @@ def send_target(loop: Loop, joint: int, shared: Shared, speed: float, target: fl
 
 @jit
 def told(loop: Loop, joint: int, sent: bool) -> bool:
-    """What was sent is answered with its position."""
+    """Take note that a frame, if it was sent, will be answered with the position; `sent`."""
     if sent:
         loop.axes[joint].sent.asked_cycle = loop.timing.cycle
         receiving.note_question(loop, joint)
@@ -114,7 +118,7 @@ def told(loop: Loop, joint: int, sent: bool) -> bool:
 
 @jit
 def target_ahead(loop: Loop, joint: int) -> tuple[float, float]:
-    """Target (rad) and speed limit (rad/s) of the joint for its own position loop; see the head of this file."""
+    """Target (rad) and speed limit (rad/s) of the joint for the motor's position loop; see the head of this file."""
     row, axis = loop.joints[joint], loop.axes[joint]
     target, speed = leading.target_ahead(loop, joint, 0.0)
     if axis.commanded.velocity_rad_s == 0.0 and axis.commanded.next_velocity_rad_s == 0.0:
@@ -125,6 +129,7 @@ def target_ahead(loop: Loop, joint: int) -> tuple[float, float]:
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
+    """Send a set-point in mode control, else a target and a speed limit."""
     row = loop.joints[joint]
     if row.position_gain_1_s == 0.0:
         position, velocity = following.setpoint(loop, joint)
@@ -140,7 +145,10 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """Hold where it is measured: type 4, its stop, would let the joint fall. Unled it stands at its last target."""
+    """Command the motor to hold its measured position; its stop (type 4) would let the joint fall.
+
+    Without new commands the motor stands at its last target, so nothing is sent if its position is not known.
+    """
     row, axis = loop.joints[joint], loop.axes[joint]
     if not monitor.knows_where_it_stands(loop, joint):
         return True
@@ -162,9 +170,9 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
-    """One that is led says how it is; one that is not is asked in turn, by what moves nothing in any mode.
+    """Ask for the voltage, or every other time for a feedback if no motion command of this cycle is answered with one.
 
-    That is to set the target of its speed mode, to rest.
+    The request for a feedback sets the target of the motor's speed mode to 0, which moves nothing in any mode.
     """
     host_id = loop.joints[joint].host_id
     turn = loop.timing.cycle // loop.params.joint_count
@@ -178,13 +186,13 @@ def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
-    """Conversations let it stand by other means."""
+    """Service dialogues stop the motor by other means."""
     return False
 
 
 @jit
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
-    """All but other parameters are answered with a position."""
+    """Every frame is answered with a position, except a request to read another parameter."""
     if frame_id >> TYPE_BIT != READ or words.unsigned(data, 0, 2) == POSITION:
         receiving.note_question(loop, joint)
 
@@ -193,6 +201,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
+    """Store a feedback (type 2), a parameter that was read (17) or a fault (21)."""
     said = frame_id >> TYPE_BIT
     if length != 8:
         return
@@ -206,6 +215,7 @@ def receive(
 
 @jit
 def receive_feedback(loop: Loop, joint: int, frame_id: int, data: int, time_ns: int) -> None:
+    """Store position, velocity, torque, temperature and status of a feedback."""
     row = loop.joints[joint]
     position = words.of_field(words.swapped(words.unsigned(data, 0, 2), 2), row.range_rad, BITS)
     velocity = words.of_field(words.swapped(words.unsigned(data, 2, 2), 2), row.range_rad_s, BITS)
@@ -221,10 +231,10 @@ def receive_feedback(loop: Loop, joint: int, frame_id: int, data: int, time_ns: 
 
 @jit
 def beyond_its_field(loop: Loop, joint: int, angle_rad: float) -> float:
-    """The joint's angle (rad) by the position field, which goes on at its other end.
+    """The joint's angle (rad) by the position field, which may have gone on at its other end.
 
-    It has done so if the angle is more than three quarters of the field from where the joint was measured last. One
-    that lost its power counts within a turn then, which is never as far from a place in the field.
+    That is taken to be so if the angle is more than three quarters of the field's range from the last measured one. A
+    motor that lost its power counts within a turn, which is never that far from a position within the field.
     """
     axis, row = loop.axes[joint], loop.joints[joint]
     field_rad = 2.0 * row.range_rad / abs(row.reading_per_rad)
@@ -236,6 +246,7 @@ def beyond_its_field(loop: Loop, joint: int, angle_rad: float) -> float:
 
 @jit
 def receive_parameter(loop: Loop, joint: int, index: int, value: float, time_ns: int) -> None:
+    """Store a position, velocity or supply voltage that was read as a parameter."""
     row = loop.joints[joint]
     if not math.isfinite(value):
         return
@@ -249,7 +260,7 @@ def receive_parameter(loop: Loop, joint: int, index: int, value: float, time_ns:
 
 @jit
 def common_status(mode: int, faults: int) -> int:
-    """State and faults of a feedback in common bits."""
+    """State and faults of a feedback in common bits (`memory.status`)."""
     return words.meaning(faults, FLAG_MEANINGS) | (status_bits.ENABLED if mode == RUN else 0)
 
 

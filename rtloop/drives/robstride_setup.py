@@ -1,14 +1,14 @@
-"""Bring-up and release of a RobStride motor or CyberGear; what its frames are is said in `rtloop.drives.robstride`.
+"""Bring-up and disabling of a RobStride motor or CyberGear; `rtloop.drives.robstride` describes its frames.
 
-What it is asked (nothing moves): how it is, by setting the target of its speed mode to 0, which is answered with its
-state in every mode; then its run mode. One that runs in control mode is told to hold where it stands, since it may
-have been told to turn, or to be limp; the torque that it makes just then is taken for that of its stiffness, so that a
-load does not sag. One that runs in its position loop gets the place where it stands as its target. One that stands
-beyond what its frames reach is left alone: told to stay there it would go to the end of that.
+Bring-up reads (nothing moves) the state, by setting the target of the speed mode to 0, which is answered with the state
+in every mode; then the run mode. A motor that runs in control mode is told to hold its position, because its last
+command may have been to turn, or to have no torque; the torque that it produces at that moment is taken for that of its
+stiffness, so that a load does not sag. A motor that runs in its position loop gets its position as its target. A motor
+that stands beyond the range of its frames is left alone: a command to stay would move it to the end of that range.
 
-One that is stopped is given its run mode, and before it is enabled what it shall hold, because it would begin with what
-it was told last: in control mode a set-point where it stands, and the same again with the enabling itself; with its own
-position loop a target where it stands, and a speed limit with which it would creep, whatever became of that target.
+A stopped motor gets its run mode and, before it is enabled, what it shall hold, because it would begin with its last
+command: in control mode a set-point at its position, and the same again together with the enabling; with its own
+position loop a target at its position, and a speed limit with which it would only creep, whatever its target is.
 """
 
 import math
@@ -33,12 +33,12 @@ from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from shm.words import Unreferenced
 
 FEEDBACK, FAULT = 2, 21
-"""Types of frames that only a motor says."""
+"""Types of frames that only a motor sends."""
 RUN_MODE, SPEED_TARGET, POSITION_TARGET, SPEED_LIMIT = 0x7005, 0x700A, 0x7016, 0x7017
 POSITION, VELOCITY, VOLTAGE, POSITION_GAIN = 0x7019, 0x701B, 0x701C, 0x701E
-"""Indexes of parameters; what type 18 writes is lost without power."""
+"""Indexes of parameters; values written with type 18 are lost without power."""
 RESET, RUN = 0, 2
-"""What bits 22 and 23 of a feedback's identifier say; 1 is calibrating."""
+"""Values of bits 22 and 23 of a feedback's identifier; 1 is calibrating."""
 MODE_BIT, FAULT_BIT = 22, 16
 FAULTS = (
     ErrorBit(0x01, "under-voltage", status_bits.UNDER_VOLTAGE),
@@ -53,25 +53,25 @@ RUN_MODES = {"control": 0, "position": 1, "csp": 5}
 USUAL_POSITION_GAIN_1_S = 30.0
 CREEP_RAD_S = 0.01
 STANDING_RAD_S = 0.03
-"""A motor that is not faster stands."""
+"""A motor that is not faster than this is at rest."""
 ALIKE = 1e-4
-"""A parameter that is set may be rounded by as much."""
+"""Rounding error that a written parameter may have when it is read back."""
 
 
 class State(NamedTuple):
-    """What the identifier of a feedback says."""
+    """Contents of a feedback's identifier."""
 
     mode: int
     faults: int
 
     @property
     def fault_words(self) -> str:
-        """Its faults for people."""
+        """The faults in words."""
         return error_words(self.faults, FAULTS) if self.faults else ""
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-    """What the cycle needs of a motor; see `rtloop.drives.setup.Setup`."""
+    """Write the parameters of a motor for the cycle; see `rtloop.drives.setup.Setup`."""
     drive = _drive(joint)
     row["command_per_rad"] = row["reading_per_rad"] = row["effort_per_unit"] = joint.direction * joint.ratio
     row["host_id"] = drive.host_id
@@ -85,12 +85,12 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
 
 
 def position_gain_1_s(drive: RobstrideDrive) -> float:
-    """Gain of its own position loop."""
+    """Gain of the motor's own position loop (1/s)."""
     return USUAL_POSITION_GAIN_1_S if drive.position_gain_1_s is None else drive.position_gain_1_s
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
-    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     drive = _drive(config)
     state = yield from _asked_how_it_is(drive)
@@ -141,18 +141,18 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
-    """What `rtloop.drives.setup.PowerProof` says."""
+    """See `rtloop.drives.setup.PowerProof.kept_power`."""
     return (yield from stayed_armed(host, joint, lambda: _is_running(_drive(host.arm.joints[joint]))))
 
 
 def _is_running(drive: RobstrideDrive) -> Part[bool | None]:
-    """Whether the motor runs; None where it does not say."""
+    """Whether the motor runs; None if it does not answer."""
     state = yield from _asked_how_it_is(drive)
     return None if state is None else state.mode == RUN
 
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
-    """Stop the motor, which lets it go, and see that it has; raises DialogueFailed."""
+    """Stop the motor, which switches its torque off, and check that it does not run; raises DialogueFailed."""
     config = arm.joints[joint]
 
     def told() -> Part[str]:
@@ -163,7 +163,7 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 
 def _refuse_another_run_mode(joint: int, config: JointConfig) -> Part[None]:
-    """Refuse a motor that somebody else leads: its mode can only be changed by letting the joint fall."""
+    """Refuse a motor that runs in another run mode, which could only be changed by letting the joint fall."""
     run_mode = yield from _parameter(joint, config, RUN_MODE, "run mode")
     wanted = RUN_MODES[_drive(config).mode]
     if run_mode[0] != wanted:
@@ -176,7 +176,7 @@ def _refuse_another_run_mode(joint: int, config: JointConfig) -> Part[None]:
 
 
 def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> None:
-    """Refuse a motor that stands where no frame reaches; raises DialogueFailed."""
+    """Refuse a motor that stands beyond the position range of its frames; raises DialogueFailed."""
     most = _drive(config).position_range_rad
     if abs(rad) <= most:
         return
@@ -189,9 +189,10 @@ def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> No
 
 
 def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
-    """Let one that runs in control mode hold where it stands, with the torque that it makes; what it is told to hold.
+    """Command a motor that runs in control mode to hold its position with its present torque; raises DialogueFailed.
 
-    Raises DialogueFailed.
+    Returns:
+        The position that it is commanded to hold (rad of its shaft).
     """
     config = host.arm.joints[joint]
     drive = _drive(config)
@@ -202,7 +203,7 @@ def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
         assert drive.kp is not None
         most = host.arm.limits.following_error_rad * config.ratio
         held += min(max(fields.of_field(torque, drive.torque_range_nm, 16) / drive.kp, -most), most)
-    # the nearest step, not the one below: it is the one that it was told, if it was told to hold
+    # round to the nearest step, not down: a motor that was holding already gets the same command again
     reach = drive.position_range_rad
     held = fields.of_field(fields.field(held + reach / FIELD_STEPS, reach, 16), reach, 16)
     yield from _said(joint, config, _hold(drive, held))
@@ -210,7 +211,7 @@ def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
 
 
 def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
-    """Give a stopped motor its run mode, and what it shall hold once it is enabled; raises DialogueFailed."""
+    """Give a stopped motor its run mode, and the position to hold once it is enabled; raises DialogueFailed."""
     drive = _drive(config)
     wanted = RUN_MODES[drive.mode]
     found = yield from written(
@@ -225,13 +226,13 @@ def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
             "for CyberGears, csp for RobStrides; mode control is known to both.",
         )
     if drive.mode == "control":
-        yield say(_hold(drive, standing))  # one that is stopped need not answer it
+        yield say(_hold(drive, standing))  # a stopped motor need not answer it
     else:
         yield from _aim(joint, config, standing)
 
 
 def _aim(joint: int, config: JointConfig, standing: float) -> Part[None]:
-    """Let its own position loop hold where it stands, at a creep; raises DialogueFailed."""
+    """Set the motor's position loop to hold its position, with a creeping speed limit; raises DialogueFailed."""
     drive = _drive(config)
     wanted = {SPEED_LIMIT: CREEP_RAD_S, POSITION_GAIN: position_gain_1_s(drive), POSITION_TARGET: standing}
     for index, value in wanted.items():
@@ -250,7 +251,7 @@ def _aim(joint: int, config: JointConfig, standing: float) -> Part[None]:
 
 
 def _enabled(joint: int, config: JointConfig, standing: float) -> Part[State]:
-    """How it is after being enabled; in control mode its first set-point comes with that."""
+    """Enable the motor, in control mode together with its first set-point; its state after that."""
     drive = _drive(config)
     hold = (_hold(drive, standing),) if drive.mode == "control" else ()
     yield from _said(joint, config, _frame(drive, ENABLE), *hold)
@@ -282,25 +283,25 @@ def _gains(drive: RobstrideDrive) -> bytes:
 
 
 def _hold(drive: RobstrideDrive, standing: float) -> Frame:
-    """A set-point at rest, without torque of its own."""
+    """A set-point at rest, without feed-forward torque."""
     position = fields.field(standing, drive.position_range_rad, 16)
     middle = FIELD_STEPS >> 1
     return _frame(drive, CONTROL, struct.pack(">HH", position, middle) + _gains(drive), data16=middle)
 
 
 def _said(joint: int, config: JointConfig, *frames: Frame) -> Part[State]:
-    """Say something that is answered with feedback; raises DialogueFailed where it is not."""
+    """Send frames that are answered with a feedback, and return its state; raises DialogueFailed without an answer."""
     return _state((yield from answered(joint, config, AskFrames(frames, _is_feedback), "state")))
 
 
 def _asked_how_it_is(drive: RobstrideDrive) -> Part[State | None]:
-    """Its state, None where it does not answer."""
+    """Read the motor's state; None if it does not answer."""
     answer = yield AskFrames((_write(drive, SPEED_TARGET, 0.0),), _is_feedback)
     return None if answer is None else _state(answer)
 
 
 def _asked_again(joint: int, config: JointConfig) -> Part[State]:
-    """Its state; raises DialogueFailed where it does not answer any more."""
+    """Read the motor's state again; raises DialogueFailed if it no longer answers."""
     state = yield from _asked_how_it_is(_drive(config))
     if state is None:
         raise DialogueFailed(joint, silent_amid(config, "state"))
@@ -316,18 +317,18 @@ def _state(frame: Frame) -> State:
 
 
 def _parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[bytes]:
-    """The four bytes of a parameter's value; raises DialogueFailed."""
+    """Read the four bytes of a parameter's value; raises DialogueFailed."""
     request = _frame(_drive(config), READ, struct.pack("<H", index))
 
     def is_answer(frame: Frame) -> bool:
-        known = frame.id >> 16 & 0xFF == 0  # anything else there is a RobStride that has no such parameter
+        known = frame.id >> 16 & 0xFF == 0  # another value comes from a RobStride that has no such parameter
         return frame.id >> TYPE_BIT == READ and known and len(frame.data) == 8 and frame.data[:2] == request.data[:2]
 
     return bytes((yield from answered(joint, config, AskFrames((request,), is_answer), what)).data[4:])
 
 
 def _where_it_stands(joint: int, config: JointConfig) -> Part[float]:
-    """Angle of its output shaft (rad); raises DialogueFailed."""
+    """Read the angle of the motor's output shaft (rad); raises DialogueFailed."""
     for _ in range(TRIES):
         data = yield from _parameter(joint, config, POSITION, "position")
         angle = float(struct.unpack("<f", data)[0])

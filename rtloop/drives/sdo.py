@@ -1,7 +1,7 @@
-"""CANopen's service data objects as a drive's dialogue asks for them: one expedited transfer at a time (CiA 301).
+"""CANopen's service data objects (SDO), as a drive's dialogue uses them: one expedited transfer at a time (CiA 301).
 
 Request and reply have eight bytes: command, index (little-endian), sub-index, and four bytes of data or of abort code.
-A reply is known by index and sub-index, which it repeats; what was read is a number of one to four bytes.
+A reply is recognised by index and sub-index, which it repeats. A value is a number of one to four bytes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rtloop.service.port import Frame
 
 READ, WRITTEN, ABORT = 0x40, 0x60, 0x80
 WRITE = {1: 0x2F, 2: 0x2B, 3: 0x27, 4: 0x23}
-"""Command of a write, by the number of its bytes."""
+"""Command byte of a write, by the size of the value in bytes."""
 SIZE_SHOWN = 0x01
 READ_REPLY, READ_REPLY_MASK = 0x42, 0xE2
 SDO_BYTES = 8
@@ -58,24 +58,24 @@ ABORTS = {
 
 @dataclass(frozen=True)
 class Object:
-    """An entry of a drive's object dictionary: a number."""
+    """An entry of a drive's object dictionary that holds a number."""
 
     index: int
     sub: int
     size: int
     """Bytes, 1 to 4."""
     what: str
-    """What it is, for people."""
+    """Its name in messages to the operator."""
     signed: bool = False
 
     @property
     def name(self) -> str:
-        """As people look it up in a manual."""
+        """Index, sub-index and name, as one looks the entry up in a manual."""
         return f"{self.index:04X}:{self.sub:02X} ({self.what})"
 
 
 class Aborted(DialogueFailed):
-    """The drive does not read or write an object; `code` says why."""
+    """The drive refuses to read or write an object; `code` is its abort code."""
 
     def __init__(self, joint: int, sentence: str, code: int) -> None:
         super().__init__(joint, sentence)
@@ -83,23 +83,23 @@ class Aborted(DialogueFailed):
 
 
 def abort_words(code: int) -> str:
-    """An abort code for people."""
+    """An abort code in words."""
     return f"{ABORTS.get(code, 'a reason of its own')}, abort code {code:08X}"
 
 
 def reading(node: int, entry: Object) -> AskFrames:
-    """The question what an object's value is."""
+    """The request to read an object."""
     return _asked(node, entry, READ, b"", lambda command: command & READ_REPLY_MASK == READ_REPLY)
 
 
 def writing(node: int, entry: Object, value: int) -> AskFrames:
-    """The order to take a value."""
+    """The request to write a value into an object."""
     data = (value % (1 << 8 * entry.size)).to_bytes(entry.size, "little")
     return _asked(node, entry, WRITE[entry.size], data, lambda command: command == WRITTEN)
 
 
 def value_in(frame: Frame, entry: Object) -> int:
-    """What the reply to a reading says; the drive's own size counts, where it shows it."""
+    """The value in the reply to a read request; if the reply states the value's size, that size counts."""
     command = frame.data[0]
     size = 4 - (command >> 2 & 3) if command & SIZE_SHOWN else entry.size
     return int.from_bytes(frame.data[4 : 4 + size], "little", signed=entry.signed)
@@ -107,23 +107,23 @@ def value_in(frame: Frame, entry: Object) -> int:
 
 @dataclass(frozen=True)
 class Node:
-    """The drive of a joint as its dialogue asks it; every call raises DialogueFailed where it is silent."""
+    """A joint's drive as a CANopen node; every transfer raises DialogueFailed if the drive does not answer."""
 
     joint: int
     config: JointConfig
 
     @property
     def number(self) -> int:
-        """Of the node."""
+        """The node's number."""
         return self.config.drive.number
 
     def read(self, entry: Object) -> Part[int]:
-        """An object's value; raises Aborted."""
+        """Read an object's value; raises Aborted."""
         reply = yield reading(self.number, entry)
         return value_in(self._heard(entry, reply, "tell"), entry)
 
     def read_if_there(self, entry: Object) -> Part[int | None]:
-        """The same of an object that a drive need not have: None where it has not."""
+        """Read an object that a drive need not have; None if it has none. Raises Aborted for any other abort code."""
         try:
             return (yield from self.read(entry))
         except Aborted as aborted:
@@ -132,12 +132,12 @@ class Node:
             raise
 
     def write(self, entry: Object, value: int) -> Part[None]:
-        """Let the drive take a value; raises Aborted."""
+        """Write a value into an object; raises Aborted."""
         reply = yield writing(self.number, entry, value)
         self._heard(entry, reply, f"take {value if entry.signed else hex(value)} for")
 
     def ensure(self, entry: Object, value: int) -> Part[None]:
-        """Write a value where the drive has another one, and nothing where it has no such object; raises Aborted."""
+        """Write a value if the object has another one; do nothing if the drive has no such object; raises Aborted."""
         found = yield from self.read_if_there(entry)
         if found is not None and found != value:
             yield from self.write(entry, value)

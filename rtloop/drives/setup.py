@@ -1,4 +1,7 @@
-"""What a family's file `<family>_setup.py` has for ordinary Python: a drive's numbers, bring-up and release."""
+"""What the file `<family>_setup.py` of a drive family offers to ordinary Python: parameters, bring-up and disabling.
+
+`Setup` is what each of these files has; the other protocols are optional.
+"""
 
 from __future__ import annotations
 
@@ -16,67 +19,67 @@ from rtloop.service.port import ServicePort
 from shm.words import Unreferenced
 
 SAME_PLACE_RAD = 0.02
-"""Two readings of a joint that stands differ by less."""
+"""Two readings of a joint at rest differ by less than this."""
 
 
 class Found(NamedTuple):
-    """What bring-up has found a drive to be, which is then commanded to stay."""
+    """What bring-up has found out about a drive, which is then commanded to stay where it is."""
 
     reading: float
-    """Where it stands, as it tells its position."""
+    """Measured position, in the unit in which the drive reports it."""
     target: float
-    """Where it holds, or would, in the same unit; the joint is commanded to be there."""
+    """Position that the drive holds, or would hold, in the same unit; it becomes the joint's commanded position."""
     reason: Unreferenced = Unreferenced.REFERENCED
-    """Why its count is not known to mean an angle."""
+    """Why the drive's count is not known to mean an angle."""
     kept_power: bool = False
-    """Whether it proves that it has had power since a bring-up before (`rtloop.drives.power`)."""
+    """Whether the drive proves that it has had power since an earlier bring-up (`rtloop.drives.power`)."""
 
 
 ERROR_AT_START = "then start again with `rtarm up … --clear-fault`, which clears it"
-"""What a person does about an error that a drive has already when its control process starts."""
+"""Remedy for an error that a drive already has when its control process starts."""
 
 
 class Host(Protocol):
-    """The bring-up that a drive's dialogue is part of."""
+    """The bring-up of an arm, as the dialogue with one drive sees it."""
 
     arm: ArmConfig
     port: ServicePort
     now_ns: int
     clears_protection: bool
-    """Whether a person has asked for it, so that a drive's latched error may be cleared."""
+    """Whether a person has requested this bring-up, so that a drive's latched error may be cleared."""
     heals: bool
-    """Whether nobody has asked for it (`rtloop.dialogues.healing`), so that no drive may be enabled."""
+    """Whether this bring-up began without a request (`rtloop.dialogues.healing`), so that no drive may be enabled."""
     marks: Marks
     was_silent: list[bool]
-    """Whether each joint's angle was given up because its drive was silent, and is known again if that cost nothing."""
+    """For each joint: its reference was lost because its drive was silent, and is valid again if that cost nothing."""
     unasked_before: list[int]
-    """Positions that had come unasked from each joint's drive when this began."""
+    """For each joint: how many unrequested positions its drive had sent when this bring-up began."""
 
     def tell(self, sentence: str) -> None:
-        """Say something to people."""
+        """Show a sentence to the operator."""
 
     def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
-        """Tell the cycle a decision."""
+        """Send an order (`rtloop.service.port`) to the cycle."""
 
 
 class Setup(Protocol):
-    """The functions of such a file."""
+    """The functions that every `<family>_setup.py` has."""
 
     def fill(self, row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-        """Put the numbers of the codec into a row of `memory.axis.JointParams`; the common ones are there."""
+        """Write the family's parameters into a row of `memory.axis.JointParams`; the common ones are there already."""
 
     def bring_up(self, host: Host, joint: int) -> Part[Found]:
-        """See that the drive answers, is what the arm file says, and holds where it stands; raises DialogueFailed.
+        """Check that the drive answers, matches the arm file and holds its position; raises DialogueFailed.
 
-        Nothing moves: a drive that is on its way somewhere is stopped, one that is limp is enabled where it stands.
+        Nothing moves: a moving drive is stopped, a disabled one is enabled where it stands.
         """
 
     def disable(self, arm: ArmConfig, joint: int) -> Dialogue:
-        """Let the drive go limp, and see that it has; raises DialogueFailed."""
+        """Switch the drive's torque off, and check that it is off; raises DialogueFailed."""
 
 
 class PowerHost(Protocol):
-    """The conversation that asks for a proof of power."""
+    """The conversation that asks a drive to prove that it kept its power."""
 
     arm: ArmConfig
     port: ServicePort
@@ -85,14 +88,14 @@ class PowerHost(Protocol):
 
 
 class PowerProof(Protocol):
-    """What such a file has besides where its drives can prove that they had power (`rtloop.drives.power`)."""
+    """Optional function of a family whose drives can prove that they kept their power (`rtloop.drives.power`)."""
 
     def kept_power(self, host: PowerHost, joint: int) -> Part[bool]:
-        """Whether the drive has had power since it was given its mark; changes nothing, raises nothing."""
+        """Whether the drive has had power since it got its mark; changes nothing, raises nothing."""
 
 
 def require_may_enable(host: Host, joint: int) -> None:
-    """Raise DialogueFailed for a drive that holds nothing although its being enabled was not asked for."""
+    """Raise DialogueFailed if this bring-up, which has to enable a drive, began without a request (`Host.heals`)."""
     if host.heals:
         raise DialogueFailed(
             joint,
@@ -102,10 +105,13 @@ def require_may_enable(host: Host, joint: int) -> None:
 
 
 def settle_mark(host: Host, joint: int, proof: bool, mark: str | None) -> bool:
-    """Give a drive its mark for the next silence; whether it has proven, by the one of before, that it had power.
+    """Record a drive's mark for the next silence.
 
-    One that was silent and proves nothing gets its mark when the joint is referenced: it speaks for the time since, not
-    for that in which the angle was lost.
+    If the drive was silent and its old mark proves nothing, the new mark is recorded only when the joint is referenced:
+    it covers the time since then, not the time in which the angle was lost.
+
+    Returns:
+        `proof`: whether the drive has proven by its old mark that it had power.
     """
     if host.was_silent[joint] and not proof:
         host.marks.give_once_referenced(joint, mark)
@@ -115,28 +121,28 @@ def settle_mark(host: Host, joint: int, proof: bool, mark: str | None) -> bool:
 
 
 class ReferencingHost(PowerHost, Protocol):
-    """The referencing that a drive's dialogue is part of."""
+    """The referencing of an arm, as the dialogue with one drive sees it."""
 
     again: str
-    """How a person tries once more, in sentences."""
+    """How the operator tries again; part of sentences."""
 
     def tell(self, sentence: str) -> None:
-        """Say something to people."""
+        """Show a sentence to the operator."""
 
     def post(self, kind: int, joint: int = -1, value: float = 0.0, code: int = 0) -> None:
-        """Tell the cycle a decision."""
+        """Send an order (`rtloop.service.port`) to the cycle."""
 
     def keep_lost(self, joint: int, reason: Unreferenced | None) -> None:
-        """Remember for later processes why the angle is not known, or (None) that it is; raises DialogueFailed."""
+        """Store for later processes why the angle is not known, or (None) that it is; raises DialogueFailed."""
 
     def run_begins(self, joint: int) -> None:
-        """From now on the drive's count means no angle; raises DialogueFailed where that cannot be remembered."""
+        """Declare that the drive's count means no angle from now on; raises DialogueFailed if that cannot be stored."""
 
     def require_place(self, joint: int, stopped: float) -> None:
-        """Raise DialogueFailed where the run has not stopped (reading) about where the joint's stop is known to be."""
+        """Raise DialogueFailed if the run stopped (`stopped`, a reading) away from the joint's stop as it is known."""
 
     def count_as_read(self, joint: int, angle_rad: float) -> None:
-        """Take the joint's last reading for an angle, or with NaN for what it says; raises DialogueFailed."""
+        """Take the joint's last reading to mean `angle_rad`, or with NaN what it says; raises DialogueFailed."""
 
     def count_from(
         self,
@@ -147,82 +153,85 @@ class ReferencingHost(PowerHost, Protocol):
         *,
         flag_stays: bool = False,
     ) -> None:
-        """Tell the cycle what the joint's count means, and that it stands there, where its limits allow that.
+        """Tell the cycle the joint's zero and position, which is a valid reference only within the joint's limits.
 
-        `flag_stays`: the drive's flag for lost power is set, and means nothing any more.
+        `flag_stays`: the drive's flag for lost power remains set, and means nothing any more.
         """
 
 
 class Homes(Protocol):
-    """What such a file has besides where its drives can find a stop by themselves."""
+    """Optional functions of a family whose drives have a homing run of their own."""
 
     def home(self, host: ReferencingHost, joint: int) -> Part[float]:
-        """Let the drive find its stop, and see that it counts from there; raises DialogueFailed.
+        """Start the drive's homing run, and check that it counts from its stop afterwards; raises DialogueFailed.
 
-        The host is told when the run begins (`run_begins`) and, by the count of before, where it stopped
-        (`require_place`).
+        It calls `run_begins` of the host when the run begins, and `require_place` with the position, in the count from
+        before the run, at which the run stopped.
 
         Returns:
-            The drive's own target, as it counts now.
+            The drive's own target, in its new count.
         """
 
     def end_homing(self, host: ReferencingHost, joint: int) -> Dialogue:
-        """End the run, if there is one, and see that the drive stands; raises DialogueFailed."""
+        """End the homing run, if there is one, and check that the drive stands; raises DialogueFailed."""
 
 
 class Places(Protocol):
-    """What such a file has besides where a person's word for an angle needs more than the joint's last reading."""
+    """Optional function of a family for which an angle given by a person takes more than the joint's last reading."""
 
     def place(self, host: ReferencingHost, joint: int, angle_rad: float) -> Dialogue:
-        """Take a person's word for where the joint stands, or NaN for what it reads; raises DialogueFailed."""
+        """Reference the joint at an angle that a person gives, or (NaN) at what it reads; raises DialogueFailed."""
 
 
 class Reports(Protocol):
-    """What such a file has besides where its drives can send their positions by themselves."""
+    """Optional function of a family whose drives can send their positions unrequested."""
 
     def end_reports(self, arm: ArmConfig, joint: int) -> Dialogue:
-        """Tell the drive to cease; raises nothing."""
+        """Tell the drive to stop sending them; raises nothing."""
 
 
 def setup_of(drive: Drive) -> Setup:
-    """The file of a drive's family."""
+    """The setup file of a drive's family."""
     return cast(Setup, importlib.import_module(f"rtloop.drives.{drive.family}_setup"))
 
 
 def power_proof_of(drive: Drive) -> PowerProof | None:
-    """The file of a drive's family, if its drives can prove that they had power."""
+    """The setup file of a drive's family if its drives can prove that they kept their power, else None."""
     found = setup_of(drive)
     return cast(PowerProof, found) if hasattr(found, "kept_power") else None
 
 
 def must_prove_power(drive: Drive) -> bool:
-    """Whether an arm goes on by itself only where the drive proves its power: its angle, or its hold, rests on it."""
+    """Whether an arm may resume by itself only if this drive proves that it kept its power.
+
+    That is so where the drive's angle depends on its power, or where a target would enable it.
+    """
     return not drive.knows_its_angle or hasattr(setup_of(drive), "ENABLED_BY_A_TARGET")
 
 
 def homing_of(drive: Drive) -> Homes | None:
-    """The file of a drive's family, if its drives can find a stop by themselves."""
+    """The setup file of a drive's family if its drives have a homing run, else None."""
     found = setup_of(drive)
     return cast(Homes, found) if hasattr(found, "home") else None
 
 
 def placing_of(drive: Drive) -> Places | None:
-    """The file of a drive's family, if a person's word needs more of its drives than their last reading."""
+    """The setup file of a drive's family if it references a joint at a given angle in its own way, else None."""
     found = setup_of(drive)
     return cast(Places, found) if hasattr(found, "place") else None
 
 
 def reporting_of(drive: Drive) -> Reports | None:
-    """The file of a drive's family, if its drives can send their positions by themselves."""
+    """The setup file of a drive's family if its drives can send their positions unrequested, else None."""
     found = setup_of(drive)
     return cast(Reports, found) if hasattr(found, "end_reports") else None
 
 
 def homes_by_a_run(drive: Drive) -> bool:
-    """Whether its drives find a stop when they are homed."""
+    """Whether the drive is on the bus and is homed by a run to its stop."""
     return bool(drive.identifiers) and homing_of(drive) is not None
 
 
 def joints_on_the_bus(arm: ArmConfig) -> list[int]:
-    """The joints whose drives are spoken to."""
+    """Numbers of the joints whose drives are on the bus."""
     return [number for number, joint in enumerate(arm.joints) if joint.drive.identifiers]

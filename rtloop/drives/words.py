@@ -1,4 +1,4 @@
-"""Numbers in the eight data bytes of a frame, which the cycle holds as one word, the first byte lowest."""
+"""Numbers in the eight data bytes of a frame, which the cycle holds as one 64-bit word with the first byte lowest."""
 
 import numpy as np
 
@@ -8,13 +8,13 @@ from rtloop.drives import fields
 
 @jit
 def unsigned(data: int, at: int, size: int) -> int:
-    """`size` bytes (1 to 4) from byte `at`, little-endian."""
+    """The unsigned number in `size` bytes (1 to 4) from byte `at`, little-endian."""
     return (data >> (8 * at)) & ((1 << (8 * size)) - 1)
 
 
 @jit
 def signed(data: int, at: int, size: int) -> int:
-    """The same as a number with a sign."""
+    """The signed number (two's complement) in `size` bytes from byte `at`, little-endian."""
     value = unsigned(data, at, size)
     half = 1 << (8 * size - 1)
     return value - 2 * half if value >= half else value
@@ -34,13 +34,13 @@ def float_word(value: float) -> int:
 
 @jit
 def bounded(value: float, most: int) -> int:
-    """The nearest whole number within ±most; undefined for what is no number, which `may_be_sent` keeps away."""
+    """The nearest whole number within ±most; undefined for NaN, which `may_be_sent` keeps away."""
     return round(min(max(value, -float(most)), float(most)))
 
 
 @jit
 def meaning(bits: int, table: tuple[tuple[int, int], ...]) -> int:
-    """What an error word's bits are in common bits (`memory.status`); `table` has pairs of its bits and theirs."""
+    """An error word in common bits (`memory.status`); `table` has pairs of the drive's bits and the common bits."""
     found = 0
     for theirs, common in table:
         if bits & theirs:
@@ -59,7 +59,7 @@ def meaning_of_code(code: int, table: tuple[tuple[int, int, int], ...]) -> int:
 
 @jit
 def swapped(value: int, size: int) -> int:
-    """The lowest `size` bytes of a number in the other order: for fields whose highest byte comes first."""
+    """The lowest `size` bytes of a number in reverse order, for big-endian fields."""
     found = 0
     for number in range(size):
         found |= ((value >> (8 * number)) & 255) << (8 * (size - 1 - number))

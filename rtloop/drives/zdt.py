@@ -5,16 +5,16 @@ with the sign in a byte of its own):
 - `FD dir rpm16 acc pulses32 mode=01 sync=00 6B`, two packets: go to an absolute target with at most that
   speed and a ramp of 1 rpm every (256 - acc) · 50 µs;
 - `36 6B` → `36 sign counts32 6B`, 65536 counts a turn; `3A 6B` → `3A flags 6B`; `FE 98 00 6B` stops at once;
-- `3B 6B` → `3B flags 6B` tells of a tripped protection whether it was heat (bit 4) or current (5); a stall stands in
-  `3A`. It is asked of a drive in protection alone, right before its status;
+- `3B 6B` → `3B flags 6B` tells whether heat (bit 4) or current (5) has tripped the protection; a stall is in `3A`.
+  Only a drive in protection is asked for it, right before its status;
 - acknowledgements are `func 02 6B`, refusals `func E2 6B`, misunderstandings `00 EE 6B` or `func EE 6B`.
-Requests and replies share their ids; they differ in length for every function used here, which is how a
-reply is told from an echo of one's own request.
+Requests and replies share their ids. For every function used here they differ in length, which tells a reply from an
+echo of the request.
 
 Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leading`).
 
-`FC int32` sends such a target alone, in one packet; speed, ramp and mode stand in the drive since `F1`
-(`rtloop.drives.zdt_fast_targets`). It is led by how far ahead its targets lie (`fast_target`).
+`FC int32` sends a target alone, in one packet; `F1` has set speed, ramp and mode before
+(`rtloop.drives.zdt_fast_targets`). With FC the pace is set by how far ahead the targets lie (`fast_target`).
 """
 
 import math
@@ -32,7 +32,7 @@ from rtloop.wire import outgoing
 from shm.words import Unreferenced
 
 FAST_OFFSET_SHARE = 0.25
-"""With FC the error moves the target, by no more than this share of what it is ahead of the setpoint."""
+"""With FC the error shifts the target, by no more than this share of the target's distance from the setpoint."""
 HIGHEST_RPM = 3000
 
 CHECKSUM = 0x6B
@@ -50,7 +50,7 @@ CAUSE = 5
 
 @jit
 def pack_target(rpm: int, acc_byte: int, pulses: int) -> tuple[int, int]:
-    """Data words of the two packets of `FD`, absolute; first byte lowest."""
+    """Data words of the two packets of `FD` with an absolute target; first byte lowest."""
     sign = 1 if pulses < 0 else 0
     magnitude = min(abs(pulses), 0xFFFFFFFF)
     first = (
@@ -69,7 +69,7 @@ def pack_target(rpm: int, acc_byte: int, pulses: int) -> tuple[int, int]:
 
 @jit
 def pack_fast_target(pulses: int) -> int:
-    """Data word of `FC`, whose target is a signed number; first byte lowest."""
+    """Data word of `FC`; unlike that of `FD`, its target is a signed number. First byte lowest."""
     bounded = min(max(pulses, -0x80000000), 0x7FFFFFFF) & 0xFFFFFFFF
     return (
         FAST_MOVE
@@ -90,25 +90,28 @@ END_HOMING = 0x9C | (0x48 << 8) | (CHECKSUM << 16)
 
 @jit
 def to_pulses(loop: Loop, joint: int, position_rad: float) -> int:
+    """A position of the joint in the drive's command pulses."""
     row = loop.joints[joint]
     return round((position_rad + row.zero_rad) * row.command_per_rad)
 
 
 @jit
 def to_radians(loop: Loop, joint: int, counts: int) -> float:
+    """A position in the drive's encoder counts as the joint's angle (rad)."""
     row = loop.joints[joint]
     return counts / row.reading_per_rad - row.zero_rad
 
 
 @jit
 def fast_target(loop: Loop, joint: int) -> float:
-    """The target (rad) of the `FC` that leads a drive through the coming period.
+    """The joint's target (rad) for the `FC` of the coming period.
 
-    `F1` allows more speed than is planned, so the target sets the pace: a drive that is d from its target goes at most
-    at sqrt(2 a d), a being its ramp. In each period it speeds up, meets that curve and brakes along it; at the end of
-    the period, when the next target comes, it should be where the plan is. With the planned acceleration p it speeds up
-    for the share (1 + p / a) / 2 of the period T, swings by (1 - (p / a)²) a T / 2 about the planned speed and ends
-    half of that below it: the target lies ahead of the plan by the way in which that speed is braked.
+    `F1` allows more speed than is planned, so the target sets the pace: a drive at a distance d from its target moves
+    at no more than sqrt(2 a d), where a is its ramp. In each period the drive speeds up, meets that curve and brakes
+    along it. At the end of the period, when the next target comes, it should be where the plan is. With a planned
+    acceleration p the drive speeds up for the share (1 + p / a) / 2 of the period T; its speed swings by
+    (1 - (p / a)²) a T / 2 about the planned speed and ends half of that below it. So the target lies ahead of the plan
+    by the braking distance from this final speed.
     """
     row, axis = loop.joints[joint], loop.axes[joint]
     commanded, sent = axis.commanded, axis.sent
@@ -134,7 +137,11 @@ def fast_target(loop: Loop, joint: int) -> float:
 
 @jit
 def decode(packet: int, length: int, data: int) -> tuple[int, int]:
-    """(kind, value) of a frame from a drive: POSITION in counts, STATUS and CAUSE as common bits, …"""
+    """(kind, value) of a frame from a drive.
+
+    The value is counts for POSITION, common bits (`memory.status`) for STATUS and CAUSE, the function byte for REFUSED
+    and ACCEPTED, and 0 for OTHER.
+    """
     function = data & 255
     if packet != 0:
         return OTHER, 0
@@ -162,7 +169,7 @@ def decode(packet: int, length: int, data: int) -> tuple[int, int]:
 
 @jit
 def common_status(flags: int) -> int:
-    """3A's flags (0 enabled, 1 reached, 2 stalled, 3 protection tripped, 7 power was lost) in common bits."""
+    """The flags of `3A` (0 enabled, 1 reached, 2 stalled, 3 protection tripped, 7 power was lost) in common bits."""
     status = 0
     if flags & 0x01:
         status |= status_bits.ENABLED
@@ -179,7 +186,7 @@ def common_status(flags: int) -> int:
 
 @jit
 def trip_cause(flags: int) -> int:
-    """Why a protection has tripped by 3B's flags (4 heat, 5 current; a stall has none), in common bits."""
+    """Why a protection has tripped, by the flags of `3B` (4 heat, 5 current; a stall has none), in common bits."""
     cause = 0
     if flags & 0x10:
         cause |= status_bits.OVER_TEMPERATURE
@@ -193,7 +200,7 @@ def trip_cause(flags: int) -> int:
 
 @jit
 def lead(loop: Loop, joint: int, shared: Shared) -> None:
-    """Send what leads a drive through the coming period; the speed's rounding is carried over to the next one."""
+    """Send `FC` or `FD`; the remainder of the rounding of the speed in `FD` is carried over to the next period."""
     row = loop.joints[joint]
     frame_id = row.address << 8
     if loop.params.fast_targets == 1:
@@ -213,10 +220,10 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def stop(loop: Loop, joint: int, shared: Shared) -> bool:
-    """Tell a drive to stop where it is; False when there is no room for that."""
+    """Command the drive to stop where it is; False if the transmit buffer has no room."""
     frame_id = loop.joints[joint].address << 8
     if loop.axes[joint].reference.unreferenced_reason == Unreferenced.NOT_HOMED:
-        # it may be amid a run, which a stop need not end
+        # the drive may be in a homing run, which a stop need not end
         outgoing.send(loop, shared, frame_id, EXTENDED, 3, END_HOMING)
     return bool(outgoing.send(loop, shared, frame_id, EXTENDED, 4, STOP, 0, joint))
 
@@ -229,7 +236,7 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
-    """Why its protection has tripped is asked first, so that it is known when its status is believed."""
+    """Ask for the status; of a drive in protection, ask for the cause first, so that it is known before the status."""
     if loop.axes[joint].drive.status & status_bits.PROTECTED:
         outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_CAUSE)
     outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_STATUS)
@@ -237,13 +244,13 @@ def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
-    """Whether a frame's data are the stop command."""
+    """Whether a frame is the stop command."""
     return bool(data == STOP)
 
 
 @jit
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
-    """A conversation has told a drive something in the cycle's frames: a question of its own will be answered."""
+    """Count a service dialogue's question for the position, which will be answered too."""
     if data == READ_POSITION:
         receiving.note_question(loop, joint)
 
@@ -252,7 +259,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 def receive(
     loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
-    """Take what a drive says."""
+    """Decode and store a frame of the drive; `error_code` of the joint holds the cause of a tripped protection."""
     kind, value = decode(frame_id & 255, length, data)
     if kind == POSITION:
         receiving.receive_position(loop, joint, to_radians(loop, joint, value), time_ns)

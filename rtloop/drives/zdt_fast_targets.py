@@ -1,16 +1,17 @@
-"""Finding out what a ZDT drive makes of `FC`, and setting it up: part of bring-up, and of
-referencing, where the arm file asks for FC.
+"""Test of how a ZDT drive interprets `FC`, and its set-up: part of bring-up and of referencing if the arm file asks
+for FC.
 
-`F1` sets speed, ramp and mode once, `FC` then sends targets alone. Every user of it known here sends amounts to go,
-even one that set the mode of absolute targets, so what a drive makes of `F1` with mode 01 is not believed but seen.
-A drive that took absolute targets for amounts would add up its whole count in every cycle.
+`F1` sets speed, ramp and mode once; `FC` then sends targets alone. Every known user of FC sends relative amounts, even
+one that set the mode of absolute targets. So it is not taken for granted that a drive obeys `F1` with mode 01, but
+tested. A drive that took absolute targets for relative ones would add its whole count in every cycle.
 
-Seen how, such that neither reading does harm: the drive stands at target p, and q lies two pulses beside it, away from
-zero. At 1 rpm it is told to go to q, twice, asked for its target, and stopped, all in one cycle, so that it can move
-for about a millisecond, a hundredth of a degree of the motor, whoever dies meanwhile. An absolute target is now q, the
-sum of amounts p + 2q, which differs from q by two pulses or more wherever the drive stands. One that says q is then
-told to go to p, still at 1 rpm, and must not move: a register that tells what was said, and not what comes of it,
-would show as a degree of the motor in the fifth of a second that it is watched, and the drive is stopped.
+The test is harmless with either interpretation. The drive stands at target p, and q lies two pulses beside it, away
+from zero. At 1 rpm the drive is told to go to q, twice, asked for its target, and stopped, all in one cycle. So it can
+move for about a millisecond, a hundredth of a degree of the motor, even if a process dies meanwhile. If targets are
+absolute, its target is now q; if they are relative, it is p + 2q, which differs from q by two pulses or more wherever
+the drive stands. A drive that reports q is then told to go to p, still at 1 rpm, and must not move. If the register
+only repeated the command and not its effect, the motor would turn by a degree in the fifth of a second for which it is
+watched, and the drive would be stopped.
 """
 
 import math
@@ -29,23 +30,23 @@ from rtloop.service.conversation import TRIES, DialogueFailed
 PULSES_BESIDE = 2
 SLOWEST_RPM, HIGHEST_RPM = 1, 3000
 ALMOST_PULSES = 1.0
-"""Targets and positions nearer than this are the same."""
+"""Targets or positions that differ by less than this are the same."""
 WATCHED_S = 0.2
-"""For at least so long positions are read before the last one counts: at 1 rpm a pulse takes 19 ms."""
+"""Least time for which positions are read before the last one counts: at 1 rpm a pulse takes 19 ms."""
 
 
 def highest_rpm(arm: ArmConfig, joint: JointConfig) -> int:
-    """Speed that `F1` allows: the most that may be commanded of the joint, rounded up."""
+    """Speed limit for `F1` (motor rpm): the highest speed that may be commanded of the joint, rounded up."""
     return min(math.ceil(arm.limits.velocity_margin * joint.motor_rpm), HIGHEST_RPM)
 
 
 def beside(pulses: int) -> int:
-    """The target of the trial for a drive that stands at `pulses`: further from zero."""
+    """The target q of the test for a drive that stands at `pulses`: further from zero."""
     return pulses + (PULSES_BESIDE if pulses >= 0 else -PULSES_BESIDE)
 
 
 def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> ZdtDialogue:
-    """See that `FC` means an absolute target to the drive, then set its speed and ramp; raises DialogueFailed."""
+    """Check that the drive takes `FC` for an absolute target, then set its speed and ramp; raises DialogueFailed."""
     config = arm.joints[joint]
     if version.firmware < registers.FAST_FIRMWARE:
         raise DialogueFailed(
@@ -57,7 +58,7 @@ def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> Zd
     counts_per_pulse = ENCODER_COUNTS_PER_REVOLUTION / drive.command_steps_per_revolution
     slowly = registers.fast_setup(SLOWEST_RPM, acc_byte)
     for _ in range(TRIES):
-        yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # wherever it is on its way to
+        yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # it may be moving
         target = yield from zdt_talk.counts_of(joint, config, registers.ASK_TARGET)
         pulses = round(target / counts_per_pulse)
         there = registers.fast_target(beside(pulses))
@@ -66,17 +67,17 @@ def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> Zd
         if told is not None and abs(told / counts_per_pulse - beside(pulses)) < ALMOST_PULSES:
             break
         if told is not None and abs(told / counts_per_pulse - pulses - 2 * beside(pulses)) < ALMOST_PULSES:
-            yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # should the first have been lost
+            yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # in case the first stop was lost
             raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} (firmware {version}) takes the targets of FC for amounts to go, although "
                 "it was told that they are absolute: set bus.position_command to FD.",
             )
     else:
-        yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # should the last of them have been lost
+        yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # in case the last stop was lost
         raise _unclear(joint, config, version)
     stood = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
-    looks = math.ceil(WATCHED_S * arm.control.rate_hz)  # each is a cycle at least
+    looks = math.ceil(WATCHED_S * arm.control.rate_hz)  # each takes a cycle at least
     if not (yield from _stays(pulses, stood, ALMOST_PULSES * counts_per_pulse, looks)):
         yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)
         raise _unclear(joint, config, version)
@@ -85,7 +86,10 @@ def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> Zd
 
 
 def _stays(pulses: int, stood: int, within: float, looks: int) -> Answered[bool]:
-    """Tell a drive to go to the target at which it stands, and see whether it stays there (counts)."""
+    """Tell a drive to go to the target at which it stands (pulses); whether it stays there.
+
+    `stood` is its position before, and `within` the largest distance from it (counts).
+    """
     told: tuple[bytes, ...] = (registers.fast_target(pulses),)
     position: int | None = None
     for _ in range(looks):

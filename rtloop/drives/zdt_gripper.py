@@ -1,6 +1,6 @@
 """A ZDT drive that opens and closes a gripper (`rtloop.drives.gripper.GripperDrive`).
 
-It plans its own ramp, so one command is a whole motion, and nothing here has to be on time.
+The drive plans its own ramp, so one command is a whole motion, and nothing here has to be on time.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from rtloop.service.conversation import TRIES, Dialogue
 from shm.words import GripTrouble
 
 HELD_RAD = 0.02
-"""A drive that holds has its target this near to where it is."""
+"""Largest distance between the target and the position of a drive that holds."""
 HOMING_MS = 60_000
-"""For a homing run; the drive is told so too."""
+"""Timeout of a homing run (ms), which is written to the drive too."""
 HOMING_LATE_NS = 1_000_000_000
 LEAST_MA = 100
 _BAD = registers.PROTECTED | registers.POWER_LOST
 
 
 class Gripper:
-    """What is said to one drive; see `rtloop.drives.gripper.GripperDrive`."""
+    """The gripper's drive; see `rtloop.drives.gripper.GripperDrive`."""
 
     def __init__(self, servo: GripperServo, gripper: GripperConfig, host: GripperHost) -> None:
         self._servo, self._gripper, self._host = servo, gripper, host
@@ -39,11 +39,11 @@ class Gripper:
         return addressed(self._servo.address, turn)
 
     def get_to_know(self) -> ZdtDialogue:
-        """Ask for what would make its motion wrong; it may be another drive than before."""
+        """Check what would make the drive's motion wrong; it may be another drive than before."""
         version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
         if version is None:
             raise self._silent()
-        block = yield from zdt_talk.surely(zdt_talk.read_block)  # its current is what the limit is set back to
+        block = yield from zdt_talk.surely(zdt_talk.read_block)  # its current is restored when the limit ends
         if block is None or not version.known:
             raise Trouble(GripTrouble.FIRMWARE, version.firmware)
         if block.checksum != 0:
@@ -56,10 +56,10 @@ class Gripper:
         target = yield from self._counts(registers.ASK_TARGET)
         measured = yield from self._counts(registers.ASK_POSITION)
         if abs(target - measured) > self._held_counts:
-            yield from self.hold()  # whatever it is on its way to, nothing here has told it
+            yield from self.hold()  # its target is not from this process
 
     def make_able(self) -> ZdtDialogue:
-        """Let a drive that has let go hold again; a lost count stays lost."""
+        """Clear the drive's protection and enable it, where that is needed; a lost count stays lost."""
         flags = yield from self._flags()
         if flags & registers.POWER_LOST:
             raise Trouble(GripTrouble.POWER_LOST)
@@ -73,18 +73,18 @@ class Gripper:
         for _ in range(TRIES):
             if flags & registers.ENABLED:
                 return
-            # it may pull its shaft to the target of before it was let go
+            # the drive may pull its shaft to its target from before it was disabled
             yield from self._counts(registers.ASK_TARGET, before=(registers.ENABLE, registers.STOP))
             flags = yield from self._flags()
         raise Trouble(GripTrouble.DISABLED)
 
     def limit_effort(self, effort: float) -> ZdtDialogue:
-        """Limit its current."""
+        """Limit the motor's current in volatile memory; does nothing if the torque per ampere is not known."""
         if self._servo.nm_per_ampere is None:
             return
         wanted_ma = self._full_ma
         if effort > 0.0:
-            wished_ma = effort / self._servo.nm_per_ampere * 1e3  # infinite for the highest numbers there are
+            wished_ma = effort / self._servo.nm_per_ampere * 1e3  # overflows to infinity for the highest floats
             wanted_ma = round(min(max(wished_ma, LEAST_MA), self._full_ma))
         for _ in range(TRIES):
             if wanted_ma == self._limit_ma:
@@ -96,7 +96,7 @@ class Gripper:
             raise Trouble(GripTrouble.CURRENT, wanted_ma)
 
     def go_to(self, angle_rad: float) -> ZdtDialogue:
-        """Command the motion until the drive says that its target is this one: a frame may be lost."""
+        """Repeat the command until the drive reports this target: a frame may be lost."""
         pulses = round((angle_rad + self._servo.zero_rad) * self._servo.pulses_per_rad)
         counts_per_pulse = ENCODER_COUNTS_PER_REVOLUTION / (self._servo.microsteps * FULL_STEPS_PER_REVOLUTION)
         command = registers.go_to(pulses, rpm=self._gripper.motor_rpm, acc=self._gripper.acc_byte)
@@ -107,7 +107,7 @@ class Gripper:
         raise Trouble(GripTrouble.REFUSED, angle_rad)
 
     def hold(self) -> ZdtDialogue:
-        """Stop it until its target is where it is."""
+        """Repeat the stop until the drive's target is its position."""
         for _ in range(TRIES):
             target = yield from self._counts(registers.ASK_TARGET, before=(registers.STOP,))
             measured = yield from self._counts(registers.ASK_POSITION)
@@ -116,7 +116,7 @@ class Gripper:
         raise Trouble(GripTrouble.REFUSED, self._angle_rad(measured))
 
     def home(self) -> ZdtDialogue:
-        """Let the drive find its stop, which is its count 0."""
+        """Run the drive to its stop, which becomes its count 0."""
         mark_ms = zdt_talk.homing_mark_ms(HOMING_MS, self._host.now_ns)
         if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
             raise Trouble(GripTrouble.NOT_HOMED, (yield from self._counts(registers.ASK_POSITION)))
@@ -134,7 +134,7 @@ class Gripper:
                 break
 
     def _see_homing_end(self) -> Answered[bool]:
-        """Whether the run has ended at its stop, within its time and with no other order before."""
+        """Wait for the end of the run; whether it ended at the stop, in time and before another order came."""
         host = self._host
         until_ns = host.now_ns + HOMING_MS * 1_000_000 + HOMING_LATE_NS
         ended = 0
@@ -151,11 +151,11 @@ class Gripper:
     # --- how it is
 
     def position_rad(self) -> Answered[float]:
-        """Its angle, by its count."""
+        """The gripper's angle, from the drive's count."""
         return self._angle_rad((yield from self._counts(registers.ASK_POSITION)))
 
     def look(self, moves: bool) -> Answered[GripTrouble]:
-        """Ask it for its flags."""
+        """Read the drive's flags; hold a drive that is stalled although no motion is commanded."""
         flags = yield from self._flags()
         if flags & registers.POWER_LOST:
             raise Trouble(GripTrouble.POWER_LOST)
@@ -164,16 +164,16 @@ class Gripper:
         if not flags & registers.ENABLED:
             return GripTrouble.DISABLED
         if flags & registers.STALLED and not moves:
-            yield from self.hold()  # it has arrived, and pushes against something just before its target
+            yield from self.hold()  # it pushes against something just before its target
         return GripTrouble.NONE
 
     def measure_effort(self, nm_per_ampere: float) -> Answered[float]:
-        """Its torque, by its current."""
+        """The drive's torque (N·m), from its current."""
         current_ma = registers.number_of((yield Ask(registers.ASK_CURRENT, (4,))), registers.ASK_CURRENT, 2)
         return math.nan if current_ma is None else current_ma * 1e-3 * nm_per_ampere
 
     def _flags(self) -> Answered[int]:
-        """Its flags; those that would mean trouble, only if two answers say so."""
+        """The drive's flags; a flag that means trouble counts only if two answers have it."""
         flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
         if flags is not None and (flags & _BAD or not flags & registers.ENABLED):
             again = yield from zdt_talk.read_flags(registers.ASK_STATUS)

@@ -1,7 +1,7 @@
-"""A ZDT drive's homing run, and a person's word for where its joint stands.
+"""A ZDT drive's homing run, and the referencing of its joint at an angle that a person gives.
 
-A run is the drive's own, until it meets its stop, where it counts 0. It is given a mark for that (an odd homing
-time-out, `rtloop.drives.power`): a drive that is switched off and on meanwhile counts 0, too, anywhere.
+The drive controls the run itself, until it meets its stop, where it counts 0. Before the run it gets a mark (an odd
+homing time-out, `rtloop.drives.power`), because a drive that is switched off and on meanwhile counts 0 too, anywhere.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from rtloop.service.port import FAST_READY, REFERENCING, SYNC_SETPOINT
 from shm.words import Unreferenced
 
 AT_STOP_RAD = 0.02
-"""A drive whose run has ended counts from where it stands: its shaft may settle this far from there."""
+"""How far the shaft may settle from where the run ended, which is where the drive counts from."""
 STANDS_TRIES = 8
 LATE_S = 1.0
 
 
 def home(host: ReferencingHost, joint: int) -> Part[float]:
-    """What `rtloop.drives.setup.Homes` says; see the head of this file."""
+    """See `rtloop.drives.setup.Homes.home` and the head of this file."""
     config = host.arm.joints[joint]
     return addressed(config.drive.number, _home(host, joint, config))
 
 
 def end_homing(host: ReferencingHost, joint: int) -> Dialogue:
-    """What `rtloop.drives.setup.Homes` says; the drive of a joint whose angle is still known is set up to be led on."""
+    """See `rtloop.drives.setup.Homes.end_homing`; the drive is set up for motion if the angle is still known."""
     config = host.arm.joints[joint]
     return addressed(config.drive.number, _end_homing(host, joint, config))
 
 
 def place(host: ReferencingHost, joint: int, angle_rad: float) -> Dialogue:
-    """What `rtloop.drives.setup.Places` says: the drive says itself where it stands, set up and marked anew."""
+    """See `rtloop.drives.setup.Places.place`; the drive is set up and marked anew, and its position read from it."""
     config = host.arm.joints[joint]
     return addressed(config.drive.number, _place(host, joint, config, angle_rad))
 
@@ -51,7 +51,7 @@ def _home(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[fl
     flags = yield from _sound(host, joint, config)
     yield from _lost_its_mark(host, joint)
     mark_ms = zdt_talk.homing_mark_ms(round(limit_s * 1e3), host.now_ns)
-    host.marks[joint] = None  # a mark that is still known and gone speaks of a loss of power
+    host.marks[joint] = None  # the mark is overwritten next; if it stayed stored, it would seem lost with the power
     if not (yield from zdt_talk.set_homing_timeout(mark_ms)):
         raise DialogueFailed(
             joint,
@@ -80,13 +80,13 @@ def _home(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[fl
 
 
 def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: int) -> Answered[int]:
-    """Wait for the end of the run; the last count of before it, as the drive counted then."""
+    """Wait for the end of the run; the last position read before it ended, in the drive's count from before the run."""
     began_ns, newest, limit_s = host.now_ns, last, host.arm.homing.timeout_s
     ended = failed = silent = 0
     while True:
         flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS)
         silent = 0 if flags is not None else silent + 1
-        if silent >= AGREEING:  # each of them asked several times over
+        if silent >= AGREEING:  # each of them was asked several times
             raise DialogueFailed(joint, silent_amid(config, "homing state"))
         if flags is None:
             continue
@@ -102,12 +102,12 @@ def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: in
         if ended >= AGREEING and not failed:
             return last
         if not ended:
-            last = newest  # the drive has still been homing after it was read, so it had not set its count anew
+            last = newest  # the drive was still homing after this reading, so it had not reset its count yet
             newest = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
 
 
 def _require_zero(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDialogue:
-    """Raise DialogueFailed where the drive does not count 0 after its run, or holds nothing."""
+    """Raise DialogueFailed if the drive does not count 0 after its run, or has tripped its protection."""
     flags = yield from zdt_talk.status_of(joint, config)
     measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
     if flags & registers.PROTECTED or abs(measured) > AT_STOP_RAD * config.encoder_counts_per_rad:
@@ -120,7 +120,7 @@ def _require_zero(host: ReferencingHost, joint: int, config: JointConfig) -> Zdt
 
 
 def _clear_power_lost(joint: int, config: JointConfig) -> ZdtDialogue:
-    """The count means an angle again; only then may the flag go that said it does not."""
+    """Clear the drive's flag for lost power, once its count means an angle again; raises DialogueFailed."""
     for _ in range(TRIES):
         yield Ask(registers.CLEAR_POWER_LOST, (3,))
         if not (yield from zdt_talk.status_of(joint, config)) & registers.POWER_LOST:
@@ -161,7 +161,7 @@ def _place(host: ReferencingHost, joint: int, config: JointConfig, angle_rad: fl
     unmarked = yield from _lost_its_mark(host, joint)
     host.marks[joint] = None
     mark = (yield from zdt_talk.mark(host.now_ns)) if host.marks.takes(joint) else None
-    host.marks[joint] = mark  # before the count for which it speaks
+    host.marks[joint] = mark  # given before the count that it protects is read
     target = yield from _standing(host, joint, config)
     zero_rad = host.port.zero_rad(joint)
     flagged = flags & registers.POWER_LOST and not host.port.power_loss_known(joint)
@@ -172,9 +172,9 @@ def _place(host: ReferencingHost, joint: int, config: JointConfig, angle_rad: fl
         return
     if math.isnan(angle_rad):
         if zero_rad == config.zero_rad:
-            host.keep_lost(joint, None)  # the next process counts from there too
+            host.keep_lost(joint, None)  # the next process counts from the same zero
     else:
-        host.keep_lost(joint, Unreferenced.NOT_HOMED)  # what is said is known to this process alone
+        host.keep_lost(joint, Unreferenced.NOT_HOMED)  # only this process knows the given angle
         measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
         zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
     if mark is not None:
@@ -187,7 +187,7 @@ def _place(host: ReferencingHost, joint: int, config: JointConfig, angle_rad: fl
 
 
 def _sound(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[int]:
-    """Stop a drive that may be on its way somewhere, and see that it holds; its flags."""
+    """Stop the drive, which may be moving, and check that it holds; its flags. Raises DialogueFailed."""
     yield Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge)
     flags = yield from zdt_talk.status_of(joint, config)
     if flags & registers.PROTECTED or not flags & registers.ENABLED:
@@ -200,7 +200,7 @@ def _sound(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[i
 
 
 def _lost_its_mark(host: ReferencingHost, joint: int) -> Answered[bool]:
-    """Whether the drive's mark is gone; its angle is then lost before another one takes that mark's place."""
+    """Whether the drive's mark is gone; if so, the joint's angle is declared lost before another mark replaces it."""
     if (yield from zdt_talk.has_mark(host.marks.known(joint))) is not False:
         return False
     host.keep_lost(joint, Unreferenced.POWER_LOST)
@@ -221,9 +221,9 @@ def _require_mark(host: ReferencingHost, joint: int, config: JointConfig, mark: 
 
 
 def _set_up(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDialogue:
-    """Tell a drive anew what leading it rests on, and see it: gone with its power.
+    """Set up reports and `FC` in the drive again, and check them: they are lost with its power.
 
-    Nothing notices that a drive is switched off and on while its count means no angle.
+    While a drive's count means no angle, nothing notices that it is switched off and on.
     """
     bus, drive = host.arm.bus, config.drive
     if not (bus.reported or bus.fast_targets):
@@ -240,7 +240,7 @@ def _set_up(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDialog
 
 
 def _standing(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[int]:
-    """The drive's own target, once it stands on it: what it is commanded to be is then no motion."""
+    """The drive's own target (counts) once its position agrees, so that commanding the target is no motion."""
     for _ in range(TRIES):
         measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
         target = yield from zdt_talk.counts_of(joint, config, registers.ASK_TARGET)

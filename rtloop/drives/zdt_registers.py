@@ -1,7 +1,7 @@
-"""A ZDT (Emm_V5) drive as ordinary Python sees it: questions, answers and commands as bytes (zdt-emm-v5.md, 2 to 6).
+"""A ZDT (Emm_V5) drive as ordinary Python sees it: requests, answers and commands as bytes (zdt-emm-v5.md, 2 to 6).
 
-What conversations send stands here, and nothing else does: auto-run, calibration, factory reset, loop mode and address
-are not among it. What the cycle sends is `rtloop.drives.zdt`.
+This file holds what service dialogues send, and nothing else: auto-run, calibration, factory reset, loop mode and
+address are not part of it. The frames of the cycle are in `rtloop.drives.zdt`.
 """
 
 from __future__ import annotations
@@ -30,42 +30,42 @@ STOP = b"\xfe\x98\x00\x6b"
 CLEAR_PROTECTION = b"\x0e\x52\x6b"
 CLEAR_POWER_LOST = b"\x50\x00\x6b"
 HOME_BY_COLLISION = b"\x9a\x02\x00\x6b"
-"""Begins a run to the stop, which ends at count 0."""
+"""Begins a homing run to the stop, which ends at count 0."""
 END_HOMING = b"\x9c\x48\x6b"
 
 ENABLED, STALLED, PROTECTED, POWER_LOST = 0x01, 0x04, 0x08, 0x80
 """Flags of `3A`."""
 HOMING, HOMING_FAILED, TOO_HOT, TOO_MUCH_CURRENT = 0x04, 0x08, 0x10, 0x20
-"""Flags of `3B`, the last two of them for a protection that has tripped; a stall has none there."""
+"""Flags of `3B`; the last two give the cause of a tripped protection, where a stall has no flag."""
 
 HIGHEST_RPM = 3000
-"""Of a motion command, whatever the firmware (zdt-emm-v5.md 3)."""
+"""Highest speed in a motion command, whatever the firmware (zdt-emm-v5.md 3)."""
 GENTLEST_RAMP = 1
-"""Ramp byte of 1 rpm every 12.75 ms, the slowest there is; 0 would be none."""
+"""Ramp byte of 1 rpm every 12.75 ms, the slowest ramp there is; 0 would be no ramp."""
 
 CHECKSUM = 0x6B
 KNOWN_FIRMWARE = range(100, 300)
-"""Emm_V5 versions 1.0.0 to 2.9.9 share the configuration block (V1.0.7 and V2.0.0 were tried by others)."""
+"""Emm_V5 versions 1.0.0 to 2.9.9, which share the configuration block (V1.0.7 and V2.0.0 were tried by others)."""
 
 FAST_FIRMWARE = 200
 """The first version that knows `F1` and `FC`."""
 
 CAN_BITRATES = (10_000, 20_000, 50_000, 83_333, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
-"""Bit rate of each code of the drive's menu."""
+"""Bit rates (bit/s) by their code in the drive's menu."""
 
 RESPONSES = ("none", "receive", "reached", "both", "other")
-"""When motion commands are answered, by its code."""
+"""When the drive answers motion commands, by code."""
 RESPONSE_NONE, RESPONSE_RECEIVE = 0, 1
 CHECKSUMS = ("6B", "XOR", "CRC-8", "Modbus")
-"""Checksum modes by their code; only the first is spoken here. [The last is in the menus of newer drives.]"""
+"""Checksum modes by code; only the first is supported here. [The last is in the menus of newer drives.]"""
 STALL_MODES = ("off", "on", "on, then zero")
-"""Stall protection by its code; the last also sets the position to zero after a stall."""
+"""Stall protection by code; the last also sets the position to zero after a stall."""
 HOMING_MODES = ("nearest", "one way", "stop", "switch", "absolute", "power-off")
-"""How a drive homes, by its code: to its single-turn zero the nearest or one way, to a stop without a sensor, to a
-limit switch, to its absolute zero, to where it was when it lost power."""
+"""How a drive homes, by code: to its single-turn zero the nearest or one way, to a stop without a sensor, to a limit
+switch, to its absolute zero, to where it was when it lost power."""
 
 BLOCK_HEAD = bytes((33, 21))
-"""Byte count and field count of the configuration block that is known here."""
+"""Byte count and field count of the supported configuration block."""
 BLOCK_PACKETS = 5
 _BLOCK = struct.Struct(">8B3H6B4H")
 _HOMING = struct.Struct(">BBHIHHHB")
@@ -74,7 +74,7 @@ _TRIP = struct.Struct(">3H")
 
 
 def trip_cause(homing_flags: int) -> tuple[str, str]:
-    """Why the protection of a drive that says these flags of `3B` has tripped, and what a person does about it."""
+    """Why a protection has tripped, by the flags of `3B`, and what the operator can do about it."""
     if homing_flags & TOO_HOT:
         return "over-temperature", "let the drive cool"
     if homing_flags & TOO_MUCH_CURRENT:
@@ -115,41 +115,44 @@ class Block:
 
     @property
     def bitrate(self) -> int | None:
-        """CAN bit rate set in the menu (bit/s); None for a code nobody knows."""
+        """CAN bit rate set in the menu (bit/s); None for an unknown code."""
         return CAN_BITRATES[self.can_code] if self.can_code < len(CAN_BITRATES) else None
 
     @property
     def full_steps(self) -> int | None:
-        """Full steps a turn of the motor it is set to: 19 is 1.8 degrees, 32 is 0.9; None for another."""
+        """Full steps a turn of the motor type that is set: 0x19 has 1.8 degrees a step, 0x32 0.9; None for another."""
         return {0x19: FULL_STEPS_PER_REVOLUTION, 0x32: 2 * FULL_STEPS_PER_REVOLUTION}.get(self.motor_type)
 
 
 def block_of(answer: bytes | None) -> Block | None:
-    """The block in a whole answer to `42 6C`, packets joined; None if it is not the one known here."""
+    """The block in a whole answer to `42 6C`, packets joined; None if it is not of the supported kind."""
     if answer is None or len(answer) != 4 + _BLOCK.size or answer[:1] + answer[1:3] != b"\x42" + BLOCK_HEAD:
         return None
     return Block(*_BLOCK.unpack(answer[3:-1]))
 
 
 def write_block(block: Block, *, store: bool) -> bytes:
-    """The command that writes a block; address and screen byte are sent as 0, which leaves them as they are."""
+    """The command that writes a block; address and screen byte are sent as 0, which leaves them as they are.
+
+    `store`: to flash, not to volatile memory only.
+    """
     sent = replace(block, address=0, screen_off=0)
     data = _BLOCK.pack(*(getattr(sent, field.name) for field in fields(Block)))
     return b"\x48\xd1" + bytes((store,)) + data + bytes((CHECKSUM,))
 
 
 def go_to(pulses: int, *, rpm: int, acc: int) -> bytes:
-    """The command `FD` to go to an absolute position (pulses), at a motor speed and with a ramp byte, at once."""
+    """The command `FD`: go to an absolute position (pulses) at once, with a motor speed and a ramp byte."""
     return struct.pack(">BBHBIBBB", 0xFD, pulses < 0, rpm, acc, abs(pulses), 1, 0, CHECKSUM)
 
 
 def limit_current(current_ma: int) -> bytes:
-    """The command `45 66` that limits the motor current in closed loop, in volatile memory."""
+    """The command `45 66`: limit the motor current in closed loop, in volatile memory."""
     return struct.pack(">BBBHB", 0x45, 0x66, 0, current_ma, CHECKSUM)
 
 
 def write_watchdog(timeout_ms: int, *, store: bool) -> bytes:
-    """The command that sets the watchdog; 0 turns it off."""
+    """The command that sets the watchdog's time (ms); 0 turns it off."""
     return b"\x68\x38" + bytes((store,)) + timeout_ms.to_bytes(4, "big") + bytes((CHECKSUM,))
 
 
@@ -161,25 +164,26 @@ def move_to(pulses: int, rpm: int, ramp: int) -> bytes:
 
 
 def fast_setup(rpm: int, acc_byte: int) -> bytes:
-    """The command that sets speed and ramp of the targets that `FC` sends, and that they are absolute (mode 01)."""
+    """The command `F1`: set speed and ramp for the targets that `FC` sends, and make them absolute (mode 01)."""
     return b"\xf1" + rpm.to_bytes(2, "big") + bytes((acc_byte, 1, 0, CHECKSUM))
 
 
 def fast_target(pulses: int) -> bytes:
-    """The command `FC`: go to a target as `F1` has set it up."""
+    """The command `FC`: go to a target (pulses) as `F1` has set it up."""
     return b"\xfc" + pulses.to_bytes(4, "big", signed=True) + bytes((CHECKSUM,))
 
 
 def report_position(period_ms: int) -> bytes:
-    """The command that lets a drive send the answer to `36` by itself from now on (ms); 0 ends that.
+    """The command that lets a drive send the answer to `36` by itself every `period_ms` from now on; 0 ends that.
 
-    It is gone with the power: the command has no byte for flash. Only drives of the X42S generation know it (6).
+    The setting is lost with the power: the command has no byte for flash. Only drives of the X42S generation know it
+    (6).
     """
     return b"\x11\x18" + ASK_POSITION[:1] + period_ms.to_bytes(2, "big") + bytes((CHECKSUM,))
 
 
 REPORT_ACCEPTED = (b"\x11\x02\x6b", b"\x11\x6b")
-"""As hardware answers it, and as a manual says."""
+"""Acknowledgements of `report_position`: the one that hardware sends, and the one in a manual."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +207,7 @@ def write_homing(parameters: HomingParameters) -> bytes:
 
 
 def homing_of(answer: bytes | None) -> HomingParameters | None:
-    """The parameters in a whole answer to `22`, packets joined."""
+    """The parameters in a whole answer to `22`, packets joined; None for any other answer."""
     if answer is None or len(answer) != 2 + _HOMING.size or answer[0] != ASK_HOMING[0]:
         return None
     return HomingParameters(*_HOMING.unpack(answer[1:-1]))
@@ -211,7 +215,7 @@ def homing_of(answer: bytes | None) -> HomingParameters | None:
 
 @dataclass(frozen=True)
 class Trip:
-    """When a drive protects itself: above a temperature, or above a current for some time."""
+    """When a drive's protection trips: above a temperature, or above a current for some time."""
 
     temperature_c: int
     current_ma: int
@@ -219,7 +223,10 @@ class Trip:
 
 
 def trip_of(answer: bytes | None) -> Trip | None:
-    """The limits in an answer to `13`, whose fields are taken to be those of the command that sets them, `D3 56`."""
+    """The limits in an answer to `13`, whose fields are assumed to be those of the command that sets them, `D3 56`.
+
+    None for any other answer.
+    """
     if answer is None or len(answer) != 2 + _TRIP.size or answer[0] != ASK_TRIP[0]:
         return None
     return Trip(*_TRIP.unpack(answer[1:-1]))
@@ -227,24 +234,24 @@ def trip_of(answer: bytes | None) -> Trip | None:
 
 @dataclass(frozen=True)
 class Version:
-    """Firmware and hardware of a drive; `newer` is the generation that answers with two bytes each."""
+    """Firmware and hardware version of a drive; `newer`: the drive's generation sends two bytes for each."""
 
     firmware: int
     hardware: int
     newer: bool
 
     def __str__(self) -> str:
-        """As people write it: 200 is 2.0.0."""
+        """The firmware version as it is usually written: 200 is 2.0.0."""
         return f"{self.firmware // 100}.{self.firmware // 10 % 10}.{self.firmware % 10}"
 
     @property
     def known(self) -> bool:
-        """Whether its configuration block is the one known here."""
+        """Whether drives with this firmware have the supported configuration block."""
         return self.firmware in KNOWN_FIRMWARE
 
 
 def version_of(answer: bytes | None) -> Version | None:
-    """The version in an answer to `1F`: one byte each on old drives, two on new ones."""
+    """The version in an answer to `1F`, one byte each on old drives, two on new ones; None for any other answer."""
     if answer is None or answer[0] != ASK_FIRMWARE[0] or len(answer) not in (4, 6):
         return None
     if len(answer) == 4:
@@ -261,7 +268,7 @@ def number_of(answer: bytes | None, question: bytes, size: int) -> int | None:
 
 
 def signed_of(answer: bytes | None, question: bytes, size: int) -> int | None:
-    """A number of `size` bytes behind a sign byte; None for any other answer."""
+    """A number of `size` bytes behind the function byte and a sign byte; None for any other answer."""
     if answer is None or len(answer) != size + 3 or answer[0] != question[0] or answer[1] > 1:
         return None
     magnitude = int.from_bytes(answer[2:-1], "big")

@@ -1,6 +1,6 @@
-"""Drives that send their positions by themselves: told to, and seen to do so at the rate they were told.
+"""Drives that send their positions unrequested (reports): turned on, and checked to come at the rate that was set.
 
-Reports go with the power of a drive, like all that stands in its volatile memory.
+A drive loses this setting with its power, like everything in its volatile memory.
 """
 
 from config.schema import ArmConfig
@@ -14,18 +14,18 @@ from rtloop.service.port import ServicePort
 REPORTS_TO_BELIEVE = 3
 REPORTS_TO_JUDGE = 8
 REPORT_LOOKS = 20
-"""Statuses read, each a cycle or two apart, until so many reports must have come."""
+"""Status requests, each a cycle or two apart, within which enough reports must have come."""
 TRIES = 3
-"""Times that the spacing of reports is looked at: some may be lost, or be those of a rate told before."""
+"""Measurements of the spacing of reports: some reports may be lost, or still come at an earlier rate."""
 SPACING = (0.75, 1.35)
-"""Mean spacing of reports beside what the drive was told; faster ones than that need more of the bus than is reckoned
-with (`config.budget`), and slower ones are missing too often (`rtloop.safety.monitor`)."""
+"""Allowed ratio of the mean spacing of reports to the one that was set. Faster reports need more of the bus than is
+budgeted (`config.budget`), and slower ones are missing too often (`rtloop.safety.monitor`)."""
 
 
 def begin(arm: ArmConfig, port: ServicePort, joint: int, version: Version) -> ZdtDialogue:
-    """Have a drive report its position, and see that it does; raises DialogueFailed.
+    """Turn a drive's reports on, and check that they come; raises DialogueFailed.
 
-    Whether `11` is acknowledged by a drive whose acknowledgements are off is not documented, so silence is no refusal.
+    It is not documented whether a drive acknowledges `11` when its acknowledgements are off, so silence is no refusal.
     """
     name, period_ms = arm.joints[joint].name, arm.control.report_period_ms
     if not (yield from zdt_talk.set_reports(period_ms)):
@@ -49,13 +49,13 @@ def begin(arm: ArmConfig, port: ServicePort, joint: int, version: Version) -> Zd
 
 
 def _spacing_ms(arm: ArmConfig, port: ServicePort, joint: int) -> Answered[float | None]:
-    """Mean time between reports that come while the drive is asked for its status; None for hardly any."""
+    """Mean time (ms) between reports that come while the drive is asked for its status; None if there are too few."""
     before = port.unasked(joint)
     reports: list[tuple[int, int]] = []
     for _ in range(REPORT_LOOKS):
         yield from zdt_talk.status_of(joint, arm.joints[joint])
         count = port.unasked(joint) - before
-        if count > 0:  # the reading of before was perhaps no report
+        if count > 0:  # the reading before that was perhaps no report
             reports.append((count, port.measured_ns(joint)))
             if count - reports[0][0] >= REPORTS_TO_JUDGE:
                 break

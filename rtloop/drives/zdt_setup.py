@@ -1,9 +1,9 @@
-"""Bring-up and release of a ZDT drive.
+"""Bring-up and disabling of a ZDT drive.
 
-What it is asked (init_mode 1, nothing moves): firmware, status, configuration block (response mode turned off in
-volatile memory when it differs and the firmware is one whose block we know), position and target until the two agree.
-Where the arm file says so, it is told to send its position by itself, and must; and what it makes of FC is found out
-(`rtloop.drives.zdt_fast_targets`). A drive that is on its way somewhere, or has lost power, is stopped first.
+Bring-up reads (init_mode 1, nothing moves): firmware, status, configuration block (the response mode is set in volatile
+memory if it differs and the firmware's block is a supported one), position and target until the two agree. If the arm
+file says so, the drive must send its position by itself, and its interpretation of FC is tested
+(`rtloop.drives.zdt_fast_targets`). A drive that is moving, or has lost power, is stopped.
 """
 
 from dataclasses import replace
@@ -30,19 +30,19 @@ from shm.words import Unreferenced
 SETTLE_PATIENCE_NS = 3_000_000_000
 HOMING_TRIES = 10
 SYNC_WITHIN_RAD = 0.02
-"""A drive whose target lies this near to its position is taken at its word."""
+"""Largest distance between a drive's target and its position for which the target is accepted."""
 
 home, end_homing, place = zdt_homing.home, zdt_homing.end_homing, zdt_homing.place
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-    """What the cycle needs of a ZDT drive; see `rtloop.drives.setup.Setup`."""
+    """Write the parameters of a ZDT drive for the cycle; see `rtloop.drives.setup.Setup`."""
     row["acc_byte"] = silence_acc_byte(joint, arm.limits)
     row["silence_deceleration_rad_s2"] = braking_deceleration_rad_s2(joint, int(row["acc_byte"]))
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
-    """What `rtloop.drives.setup.Setup` says; see the head of this file."""
+    """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     drive = host.arm.joints[joint].drive
     assert isinstance(drive, ZdtDrive)
     return addressed(drive.address, _bring_up(host, joint, host.arm.joints[joint], drive))
@@ -70,7 +70,7 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     if flags & registers.PROTECTED:
         flags = yield from _clear_protection(host, joint, config)
     if flags & registers.POWER_LOST and not host.port.power_loss_known(joint):
-        yield _stop(host)  # since it has power it may have heard targets of before
+        yield _stop(host)  # it may have received old targets since its power came back
         reason = Unreferenced.POWER_LOST
     homing = yield from _end_homing(host, joint, config)
     if reason == Unreferenced.REFERENCED and homing:
@@ -81,7 +81,7 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     if not flags & registers.ENABLED:
         require_may_enable(host, joint)
         for _ in range(TRIES):
-            # it may pull its shaft to the target of before it was let go
+            # the drive may pull its shaft to its target from before it was disabled
             yield Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge, before=(registers.ENABLE,))
             flags = yield from zdt_talk.status_of(joint, config)
             if flags & registers.ENABLED:
@@ -99,20 +99,24 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
     if not was_marked and not host.was_silent[joint] and host.marks.takes(joint):
         host.marks[joint] = yield from zdt_talk.mark(host.now_ns)
     found = yield from _standing(host, joint, config, reason)
-    # The last question, so that it speaks for all that was read before.
+    # The last question, so that it covers everything that was read before.
     had_power = yield from _decided_power(host, joint, config)
     if had_power is False:
         return found._replace(reason=Unreferenced.POWER_LOST)
-    return found._replace(kept_power=was_marked and had_power is True)  # a new one speaks for the time since
+    return found._replace(kept_power=was_marked and had_power is True)  # a new mark covers the time since it was given
 
 
 def _decided_power(host: Host, joint: int, config: JointConfig) -> Answered[bool | None]:
-    """What `_had_power` says of a drive that is there: one with a mark must tell it. What its mark decides is said."""
+    """Whether the drive has had power since it got its mark; None if it has no mark to show that.
+
+    As `_had_power`, for a drive that answers: if it has a mark that cannot be read, it counts as having lost power. The
+    operator is told if the mark decides against the drive.
+    """
     flagged, marked = yield from _power_evidence(host, joint)
     mark = host.marks.known(joint)
     if mark is not None and not flagged and marked is None:
-        yield from zdt_talk.status_of(joint, config)  # it may be without power just now
-        flagged, marked = yield from _power_evidence(host, joint)  # or was silent for a moment
+        yield from zdt_talk.status_of(joint, config)  # raises if the drive has no power now
+        flagged, marked = yield from _power_evidence(host, joint)  # it was silent for a moment only
     if flagged:
         return False
     if mark is not None and marked is None:
@@ -131,7 +135,7 @@ def _decided_power(host: Host, joint: int, config: JointConfig) -> Answered[bool
 
 
 def kept_power(host: PowerHost, joint: int) -> Part[bool]:
-    """What `rtloop.drives.setup.PowerProof` says."""
+    """See `rtloop.drives.setup.PowerProof.kept_power`."""
     return addressed(host.arm.joints[joint].drive.number, _kept_power(host, joint))
 
 
@@ -140,15 +144,15 @@ def _kept_power(host: PowerHost, joint: int) -> Answered[bool]:
 
 
 def _had_power(host: PowerHost, joint: int) -> Answered[bool | None]:
-    """Whether the drive has had power since it got its mark; None where nothing tells."""
+    """Whether the drive has had power since it got its mark; None if that cannot be found out."""
     flagged, marked = yield from _power_evidence(host, joint)
     return False if flagged else marked
 
 
 def _power_evidence(host: PowerHost, joint: int) -> Answered[tuple[bool | None, bool | None]]:
-    """Whether its flag tells a loss of power, where that means something, and whether its mark is there.
+    """Whether the drive's flag reports a loss of power (if the flag means something), and whether its mark is there.
 
-    None where the drive does not say; of one whose flag tells a loss, its mark is not asked.
+    None where the drive does not answer; the mark of a drive whose flag reports a loss is not read.
     """
     if not host.port.power_loss_known(joint):
         for _ in range(zdt_talk.AGREEING):
@@ -163,7 +167,10 @@ def _power_evidence(host: PowerHost, joint: int) -> Answered[tuple[bool | None, 
 
 
 def _clear_protection(host: Host, joint: int, config: JointConfig) -> Answered[int]:
-    """End a protection that has tripped, where a person wants that; the flags of ASK_STATUS after it."""
+    """Clear a tripped protection if the operator asked for that; the flags of ASK_STATUS after that.
+
+    Raises DialogueFailed.
+    """
     cause, remedy = registers.trip_cause((yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS)) or 0)
     if not host.clears_protection:
         raise DialogueFailed(
@@ -183,7 +190,7 @@ def _clear_protection(host: Host, joint: int, config: JointConfig) -> Answered[i
 
 
 def _end_homing(host: Host, joint: int, config: JointConfig) -> Answered[bool]:
-    """End a homing run that a control process has left behind; whether there was one."""
+    """End a homing run that an earlier control process has left behind; whether there was one."""
     end: tuple[bytes, ...] = ()
     for looks in range(HOMING_TRIES):
         flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS, before=end)
@@ -205,7 +212,7 @@ def _stop(host: Host) -> Ask:
 def _settle_configuration(
     host: Host, joint: int, config: JointConfig, drive: ZdtDrive, version: Version
 ) -> ZdtDialogue:
-    """Check what would make motion wrong; set the response mode in volatile memory."""
+    """Check the settings that would make motion wrong, and set the response mode in volatile memory."""
     wanted = registers.RESPONSE_RECEIVE if host.arm.bus.acknowledge else registers.RESPONSE_NONE
     block = yield from zdt_talk.read_block()
     if block is None or not version.known:
@@ -235,7 +242,7 @@ def _settle_configuration(
             "the CAN wires, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
         )
     yield Ask(registers.write_block(replace(block, response=wanted), store=False), (3,))
-    for _ in range(TRIES):  # an answer from before the change may still be on its way
+    for _ in range(TRIES):  # an answer from before the change may still come
         after = yield from zdt_talk.read_block()
         if after is not None and after.response == wanted:
             break
@@ -248,9 +255,9 @@ def _settle_configuration(
 
 
 def _settle_reports(host: Host, joint: int, config: JointConfig, version: Version) -> ZdtDialogue:
-    """Have the position sent as the arm file says, in volatile memory: by the drive itself, or when it is asked.
+    """Turn reports of the position on or off in volatile memory, as the arm file says.
 
-    A control process that was killed leaves its drives reporting; they are told to cease only where they do.
+    A control process that was killed leaves its drives reporting; only a drive that does report is told to stop.
     """
     if not host.arm.bus.reported:
         by_itself = host.port.unasked(joint) - host.unasked_before[joint] >= zdt_reports.REPORTS_TO_BELIEVE
@@ -273,7 +280,7 @@ def _require_budget_with_acknowledgements(host: Host, joint: int, config: JointC
 
 
 def _standing(host: Host, joint: int, config: JointConfig, reason: Unreferenced) -> Answered[Found]:
-    """Where the drive stands, and its own target once that is near."""
+    """The drive's position and its own target once they agree; after a timeout, the position serves as target too."""
     started_ns = host.now_ns
     stopped = False
     counts_per_rad = config.direction * config.encoder_counts_per_rad
@@ -285,7 +292,7 @@ def _standing(host: Host, joint: int, config: JointConfig, reason: Unreferenced)
         target_rad = target / counts_per_rad - zero_rad
         if abs(target_rad - measured_rad) <= SYNC_WITHIN_RAD:
             break
-        if not stopped:  # whatever it is on its way to, nobody here has told it
+        if not stopped:  # its target is not from this process
             stopped = True
             yield _stop(host)
             continue
@@ -303,12 +310,12 @@ def _standing(host: Host, joint: int, config: JointConfig, reason: Unreferenced)
 
 
 def end_reports(arm: ArmConfig, joint: int) -> Dialogue:
-    """What `rtloop.drives.setup.Reports` says."""
+    """See `rtloop.drives.setup.Reports.end_reports`."""
     yield from addressed(arm.joints[joint].drive.number, zdt_talk.set_reports(0))
 
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
-    """Let the drive go limp, and see that it has; raises DialogueFailed."""
+    """Disable the drive, and check that it is disabled; raises DialogueFailed."""
     config = arm.joints[joint]
     yield from let_go(joint, config, lambda: addressed(config.drive.number, _told_to_let_go(arm)))
 

@@ -1,4 +1,4 @@
-"""What conversations ask a ZDT (Emm_V5) drive, as parts of a dialogue; the bytes are those of `zdt_registers`."""
+"""Requests to a ZDT (Emm_V5) drive as parts of a service dialogue; the bytes are those of `zdt_registers`."""
 
 from __future__ import annotations
 
@@ -13,32 +13,35 @@ from rtloop.drives.zdt_registers import Block, HomingParameters
 from rtloop.service.conversation import TRIES, DialogueFailed, silent_amid
 
 AGREEING = 2
-"""Answers in a row that say the same: one alone may be garbled."""
+"""Answers in a row that must agree: a single one may be garbled."""
 SURE_TRIES = 4
 LOOKS = 6
-"""For the beginning of a homing run: a collision of the factory's 60 ms lasts longer than two of them."""
+"""Status requests for the beginning of a homing run: a collision of 60 ms (factory setting) outlasts two of them."""
 HOMING_MARKS = 900
-"""Which of the marks a homing run gets is the clock's: a value that somebody has stored is hardly that one."""
+"""Number of different marks; the clock chooses one of them, so that a value stored in the drive is hardly the same."""
 Value = TypeVar("Value")
 Answered = Generator[Ask, bytes | None, Value]
 """Part of a dialogue that ends in a value."""
 
 
 def read_flags(question: bytes, before: tuple[bytes, ...] = ()) -> Answered[int | None]:
-    """The flags of ASK_STATUS or ASK_HOMING_STATUS, after commands that leave right before the question.
+    """The flags of ASK_STATUS or ASK_HOMING_STATUS; the commands `before` are sent right before the request.
 
-    None where the drive is silent or does not know the question.
+    None if the drive does not answer or does not know the request.
     """
     return registers.number_of((yield Ask(question, (3,), before=before)), question, 1)
 
 
 def read_counts(question: bytes) -> Answered[int | None]:
-    """A position in encoder counts: ASK_POSITION the measured one, ASK_TARGET the drive's own target."""
+    """A position in encoder counts: with ASK_POSITION the measured one, with ASK_TARGET the drive's own target.
+
+    None if the drive does not answer or does not know the request.
+    """
     return registers.signed_of((yield Ask(question, (7,))), question, 4)
 
 
 def status_of(joint: int, config: JointConfig) -> Answered[int]:
-    """The flags of ASK_STATUS; raises DialogueFailed where the drive is silent."""
+    """The flags of ASK_STATUS; raises DialogueFailed if the drive does not answer."""
     flags = yield from read_flags(registers.ASK_STATUS)
     if flags is None:
         raise DialogueFailed(joint, silent_amid(config, "status"))
@@ -46,7 +49,7 @@ def status_of(joint: int, config: JointConfig) -> Answered[int]:
 
 
 def counts_of(joint: int, config: JointConfig, question: bytes) -> Answered[int]:
-    """A position as `read_counts` reads it; raises DialogueFailed where the drive is silent."""
+    """A position as `read_counts` reads it; raises DialogueFailed if the drive does not answer."""
     counts = yield from read_counts(question)
     if counts is None:
         raise DialogueFailed(joint, silent_amid(config, "position"))
@@ -54,14 +57,14 @@ def counts_of(joint: int, config: JointConfig, question: bytes) -> Answered[int]
 
 
 def read_block() -> Answered[Block | None]:
-    """The configuration block."""
+    """The configuration block; None if the drive does not answer, or with another block."""
     return registers.block_of((yield Ask(registers.ASK_BLOCK, (8,), packets=registers.BLOCK_PACKETS)))
 
 
 def surely(read: Callable[[], Answered[Value | None]]) -> Answered[Value | None]:
-    """What two answers in a row tell, for whoever writes it back or decides by it; None where no two agree.
+    """Read until two answers in a row agree, for decisions and before a value is written back; None if no two agree.
 
-    All of its fields go into the drive again, and a serial line may garble any of them unseen.
+    All fields of what was read are written to the drive again, and a serial line may garble any of them unnoticed.
     """
     before = None
     for _ in range(SURE_TRIES):
@@ -73,32 +76,35 @@ def surely(read: Callable[[], Answered[Value | None]]) -> Answered[Value | None]
 
 
 def read_watchdog() -> Answered[int | None]:
-    """The watchdog's time (ms)."""
+    """The watchdog's time (ms); None if the drive does not answer or does not know the request."""
     return registers.number_of((yield Ask(registers.ASK_WATCHDOG, (6,))), registers.ASK_WATCHDOG, 4)
 
 
 def set_reports(period_ms: int) -> Answered[bool]:
-    """Let the drive send its position by itself, or with 0 no more; False where it refuses, silence is none."""
+    """Let the drive send its position by itself every `period_ms`, or with 0 stop that; False if it refuses.
+
+    A missing answer is no refusal.
+    """
     answer = yield Ask(registers.report_position(period_ms), tuple(len(a) for a in registers.REPORT_ACCEPTED))
     return answer is None or answer in registers.REPORT_ACCEPTED
 
 
 def read_homing() -> Answered[HomingParameters | None]:
-    """The homing parameters."""
+    """The homing parameters; None if the drive does not answer or does not know the request."""
     return registers.homing_of((yield Ask(registers.ASK_HOMING, (8,), packets=registers.HOMING_PACKETS)))
 
 
 def homing_mark_ms(limit_ms: int, now_ns: int) -> int:
-    """A homing time-out just above `limit_ms` (ms) by which a drive is known again after its run.
+    """A homing time-out just above `limit_ms` (ms) as a mark, by which a drive is recognised after its run.
 
-    No other value of volatile memory is the same but by chance, so one that is there afterwards says that the drive has
-    not been switched off and on meanwhile, after which it counts 0 anywhere.
+    Any other value in the drive's volatile memory equals the mark by chance only. So a drive that still has the mark
+    after the run was not switched off and on meanwhile; after that it would count 0 anywhere.
     """
     return limit_ms + 1 + now_ns // 1_000_000 % HOMING_MARKS
 
 
 def set_homing_timeout(timeout_ms: int) -> Answered[bool]:
-    """Let the drive's homing run take so long, in volatile memory only; whether it does."""
+    """Set the time-out of the drive's homing run, in volatile memory only; whether the drive then has it."""
     parameters = yield from surely(read_homing)
     if parameters is None:
         return False
@@ -108,25 +114,25 @@ def set_homing_timeout(timeout_ms: int) -> Answered[bool]:
 
 
 def has_mark(mark: str | None) -> Answered[bool | None]:
-    """Whether the drive still has the homing time-out that `mark` has given it (`drives.power`); None: nobody knows."""
+    """Whether the drive still has the homing time-out `mark` (`drives.power`); None if that cannot be found out."""
     parameters = None if mark is None else (yield from surely(read_homing))
     return None if parameters is None else str(parameters.timeout_ms) == mark
 
 
 def mark(now_ns: int) -> Answered[str | None]:
-    """Give the drive one, a little above the time-out that it has; None where it takes none, as older firmware may."""
+    """Give the drive a mark, a little above its time-out, and return it; None if it takes none (older firmware)."""
     parameters = yield from surely(read_homing)
     if parameters is None:
         return None
     mark_ms = homing_mark_ms(parameters.timeout_ms - parameters.timeout_ms % 1000, now_ns)
-    mark_ms += mark_ms == parameters.timeout_ms  # that may be what it has stored
+    mark_ms += mark_ms == parameters.timeout_ms  # the drive may have stored that value
     return str(mark_ms) if (yield from set_homing_timeout(mark_ms)) else None
 
 
 def begin_homing() -> Answered[bool]:
-    """Let the drive run to its stop; whether it has said, in answers that agree, that it does.
+    """Start the drive's homing run to its stop; whether the drive reports, in answers that agree, that it runs.
 
-    It is told until then: no acknowledgement is waited for, and a command may be lost.
+    The command is repeated until then: no acknowledgement is waited for, and a command may be lost.
     """
     for _ in range(TRIES):
         before: tuple[bytes, ...] = (registers.HOME_BY_COLLISION,)

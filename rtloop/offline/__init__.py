@@ -1,1 +1,1 @@
-"""Programs beside an arm that is not in service: settings, calibration and bench tests of its drives."""
+"""Programs for an arm that is not in service: settings, calibration and bench tests of its drives."""

@@ -1,4 +1,4 @@
-"""What an offline program knows of a family of drives: a file of the family's name in the program's folder."""
+"""How an offline program finds its code for a family of drives: a file of the family's name in the program's folder."""
 
 from importlib import import_module
 from importlib.util import find_spec
@@ -8,12 +8,12 @@ from config.drives.drive import Drive
 
 
 def knows(folder: str, drive: Drive) -> bool:
-    """Whether the program of a folder knows the drive's family."""
+    """Whether the program in `folder` supports the drive's family."""
     return find_spec(_name(folder, drive)) is not None
 
 
 def file_of(folder: str, drive: Drive) -> Any:
-    """The family's file, of a family that the program knows; the folder says what is in it."""
+    """The module of a supported family in `folder`, which defines what is in it."""
     return import_module(_name(folder, drive))
 
 

@@ -1,4 +1,4 @@
-"""A conversation with one drive beside an offline cycle."""
+"""A service dialogue with one drive while the cycle is offline."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Result = TypeVar("Result")
 
 
 class OneDrive(Conversation, Generic[Result]):
-    """A dialogue with one drive, which ends in a `result` or in a `problem`.
+    """A dialogue with one drive, which ends with a `result` or with a `problem`.
 
-    A problem latches no fault: the cycle is offline, and what follows (a stop) is said by another conversation.
+    A problem latches no fault: the cycle is offline, and whatever must follow (a stop) is sent by another conversation.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class OneDrive(Conversation, Generic[Result]):
         joint: int,
         dialogue: Callable[[Callable[[], int]], Part[Result]],
     ) -> None:
-        """`dialogue` makes it of a clock (ns)."""
+        """`dialogue` makes the dialogue; its argument is a clock (ns)."""
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP)
         self.result: Result | None = None
         self.problem: DialogueFailed | None = None

@@ -1,6 +1,6 @@
-"""What the programs beside an offline cycle share: one arm, a line in and lines out, sentences for what they refuse.
+"""What the programs with an offline cycle share: one arm, orders as input lines, answers as output lines, refusals.
 
-Importing this takes the signals over first, as `rtloop.process.program` does.
+Importing this module takes over the signals first, as `rtloop.process.program` does.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from rtloop.wire.refusal import WireRefused
 from shm.errors import AlreadyHeld, SharedMemoryError, led_already
 
 Serve = Callable[[ArmConfig, ServicePort, Callable[[], None]], None]
-"""Works with an arm through a port, letting time pass with the function it is given."""
+"""Works with an arm through a port; it calls the given function to let time pass."""
 
 
 def run(
     arguments: list[str] | None, program: str, does: str, serve: Serve, *, alone: str, refuses: type[Exception]
 ) -> int:
-    """The exit code of one such program, as of `python -m rtloop`; what is refused is said as `refused …`.
+    """Run such a program and return its exit code, as of `python -m rtloop`; a refusal is printed as `refused …`.
 
-    `does` is what its help says. `alone` begins the sentence about an arm that another control process has, and
-    `refuses` is what `serve` raises beside failed talks, with a sentence.
+    `does` is the text of its help. `alone` begins the sentence about an arm that another control process has.
+    `refuses` is the exception, with a sentence, that `serve` raises besides failed dialogues.
     """
     try:
         arm = arm_of(arm_parser(program, does).parse_args(arguments))
@@ -45,17 +45,17 @@ def run(
 
 
 def next_line(pause: Callable[[], None]) -> str:
-    """The next line of the standard input, empty at its end."""
+    """Wait for the next line of the standard input; empty at its end."""
     while not heard_more():
         pause()
     return sys.stdin.readline().strip()
 
 
 def heard_more() -> bool:
-    """Whether the standard input has a line, or has ended."""
+    """Whether the standard input has a line to read, or has ended."""
     return bool(select.select([sys.stdin], (), (), 0)[0])
 
 
 def say(word: str, text: str) -> None:
-    """A line for the program that has started this one."""
+    """Print a line for the program that has started this one."""
     print(word, text, flush=True)

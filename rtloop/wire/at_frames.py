@@ -1,8 +1,8 @@
 """Frames of the CH340 adapters that speak AT (docs/hardware/adapters.md), in the cycle.
 
 `41 54` ("AT"), identifier << 3 | 4 as 32 bits, the highest first, the length, the data, `0D 0A` (facts/can-adapters.md,
-section 3). The low three bits say what kind of frame it is, and 4 is extended; nobody has shown another kind to work,
-so others are neither sent nor taken.
+section 3). The low three bits give the kind of the frame, and 4 is extended; no other kind is known to work, so others
+are neither sent nor accepted.
 """
 
 from compilation.jit import jit
@@ -25,7 +25,7 @@ _EXTENDED = 4
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
     """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest.
 
-    `kind` is bits of `rtloop.memory.frame_words`. False when full, and for any kind but EXTENDED.
+    `kind` is bits of `rtloop.memory.frame_words`. False if the buffer is full, and for any kind but EXTENDED.
     """
     tx = loop.outgoing.bytes
     at = loop.outgoing.length
@@ -51,7 +51,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME, id, kind, length, data) of the next extended data frame in the receive ring up to `end`, or NOTHING.
 
-    The bytes before it are taken; what is none of a frame is counted.
+    The bytes up to the end of the frame are consumed; bytes that belong to no frame are counted as a wire error.
     """
     while framed.collect(loop, end):
         found, frame_id, length, data = look(loop)
@@ -64,9 +64,9 @@ def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int
 
 @jit
 def look(loop: Loop) -> tuple[int, int, int, int]:
-    """(framed.…, id, length, data) of what the collected bytes begin with.
+    """(framed.…, id, length, data) of the frame at the beginning of the collected bytes.
 
-    Unless there must be MORE of them it is taken out.
+    It is removed from them, unless it takes MORE bytes to tell.
     """
     line = loop.parser.line
     if loop.parser.line_length < SHORTEST_FRAME_BYTES:

@@ -1,7 +1,8 @@
 """Opening and closing the serial adapters with binary frames: USB-CAN-A (facts/can-adapters.md, section 2), AT (3).
 
-Neither says whether it has understood its bit rate, so only a port that cannot be opened is refused. A predecessor that
-was killed may have left half a frame behind; zeros complete it to one with a wrong trailer, which is dropped.
+Neither adapter reports whether it has accepted its bit rate, so only a port that cannot be opened is refused. A process
+that was killed may have left half a frame in the adapter; zeros complete it to one with a wrong trailer, which is
+dropped.
 """
 
 import os
@@ -10,14 +11,14 @@ from config.serial_adapters import SEEED_BITRATES, SERIAL_ADAPTERS
 from rtloop.wire.tty import drain, setting_up
 
 STANDARD_ONLY, EXTENDED_ONLY = 1, 2
-"""What kind of frames a USB-CAN-A is set to; one setting may not deliver both."""
+"""Kind of frames that a USB-CAN-A is set to; one setting may not deliver both."""
 NORMAL, APART = 0, 3
-"""Modes of a USB-CAN-A; apart (loop-back and silent) it neither hears the bus nor sends."""
+"""Modes of a USB-CAN-A; APART (loop-back and silent) neither receives from the bus nor sends."""
 _REPEATED = 0x00
-"""What follows the mode: a frame that lost the bus to another is sent again (Waveshare's Can_config.pdf). 01 sends it
+"""Byte behind the mode: a frame that lost arbitration is sent again (Waveshare's Can_config.pdf). With 01 it is sent
 only once (Seeed's manual), so that a command of two packets could lose one of them."""
 SET_UP_S = 0.1
-"""Other programs give a USB-CAN-A 80 to 100 ms after its set-up."""
+"""Wait after the set-up of a USB-CAN-A, to which other programs give 80 to 100 ms."""
 LONGEST_FRAME = 20
 FILLER = bytes(LONGEST_FRAME)
 
@@ -27,21 +28,21 @@ AT_CLOSING = FILLER
 
 
 def set_up_frame(bitrate: int, frames: int, mode: int) -> bytes:
-    """The 20 bytes that set a USB-CAN-A up for its variable-length framing, without a filter."""
+    """The 20 bytes that set a USB-CAN-A up for its variable-length framing without a filter; `bitrate` in bit/s."""
     content = bytes((0x12, SEEED_BITRATES[bitrate], frames, *bytes(8), mode, _REPEATED, *bytes(4)))
     return b"\xaa\x55" + content + bytes((sum(content) & 0xFF,))
 
 
 def line_speed(interface: str, serial_baud: int | str) -> int | str:
-    """What the port of a binary adapter is set to: where the file says cdc, the kind's own speed all the same.
+    """The speed (baud) for the port of a binary adapter; if the arm file says cdc, the default of this kind of adapter.
 
-    A true USB device does not care, and a CH340 that is taken for one would stay at whatever speed it was.
+    A true USB device ignores the speed, but a CH340 that is taken for one would stay at its last speed.
     """
     return SERIAL_ADAPTERS[interface].serial_baud if serial_baud == "cdc" else serial_baud
 
 
 def open_seeed(channel: str, serial_baud: int | str, bitrate: int, frames: int) -> int:
-    """Open a USB-CAN-A for frames of one kind; its descriptor, non-blocking. Raises WireRefused."""
+    """Open a USB-CAN-A for frames of one kind, and return its descriptor, non-blocking. Raises WireRefused."""
     with setting_up(channel, line_speed("seeedstudio", serial_baud)) as fd:
         os.write(fd, FILLER + set_up_frame(bitrate, frames, NORMAL))
         drain(fd, SET_UP_S)
@@ -49,12 +50,12 @@ def open_seeed(channel: str, serial_baud: int | str, bitrate: int, frames: int) 
 
 
 def seeed_closing(bitrate: int, frames: int) -> bytes:
-    """What takes a USB-CAN-A off the bus, so that it drops the frames it keeps."""
+    """The bytes that take a USB-CAN-A off the bus, so that it drops the frames that it has buffered."""
     return FILLER + set_up_frame(bitrate, frames, APART)
 
 
 def open_at(channel: str, serial_baud: int | str) -> tuple[int, list[str]]:
-    """Open an AT adapter; its descriptor, non-blocking, and what is not as it should be. Raises WireRefused."""
+    """Open an AT adapter; returns its descriptor, non-blocking, and complaints to the operator. Raises WireRefused."""
     with setting_up(channel, line_speed("ch340-at", serial_baud)) as fd:
         os.write(fd, FILLER + AT_HANDSHAKE)
         answered = AT_AGREES in drain(fd)

@@ -1,13 +1,13 @@
 """The bridge between the cycle and a bus of python-can: a pair of connected sockets, two threads of ordinary Python.
 
-One end is the wire's descriptor: the cycle writes its frames to it in one call and never waits, the reader's thread
-takes what came and stamps it, both as from any other wire. At the other end one thread gives frames to the bus and one
-takes frames from it. A socket and not a ring in memory, because whoever sleeps at its end must be woken anyway: the
-system does that, keeps messages whole (SOCK_SEQPACKET: one cycle's frames, or one frame that came), and bounds what
-waits.
+One end is the wire's descriptor. As with any other wire, the cycle writes its frames to it in one call and never waits,
+and the reader thread reads and time-stamps what was received. At the other end, one thread sends frames to the bus and
+one receives frames from it. It is a socket and not a ring in memory, because a thread that sleeps at its end must be
+woken anyway. The system does that, keeps messages whole (SOCK_SEQPACKET: one cycle's frames, or one received frame),
+and bounds how much waits.
 
-What is old must not be sent. A cycle that finds `HELD_BACK_S` of frames still waiting is refused (EAGAIN, as by any
-wire that is full), and a frame whose turn comes later than that after its cycle is dropped here and counted, but for a
+Old frames must not be sent. While `HELD_BACK_S` of frames still wait, the cycle's write is refused (EAGAIN, as by any
+wire that is full). A frame whose turn comes later than that after its cycle is dropped here and counted, unless it is a
 stop command.
 """
 
@@ -38,35 +38,35 @@ if TYPE_CHECKING:
     import can
 
 RECORD = struct.Struct("=IBBH8s")
-"""`struct can_frame`: identifier with its flags, length, our own words (`rtloop.wire.can_frame.mark`), data."""
+"""`struct can_frame`: identifier with its flags, length, rtarm's own marks (`rtloop.wire.can_frame.mark`), data."""
 LONGEST_DATA = 8
 UNREADABLE = RECORD.pack(0, 0xFF, 0, 0, b"")
-"""Stands for something that came and is no frame; the cycle counts it."""
+"""Record for something that was received and is no frame; the cycle counts it."""
 
 HELD_BACK_S = 0.025
-"""At this age readings make the arm brake; set-points are worth no more."""
+"""Age at which set-points are dropped; readings of this age make the arm brake."""
 LEAST_HELD_BACK = 3
-"""Cycles whose frames may wait all the same: an ordinary thread may be away for two periods of a quick cycle."""
+"""Cycles whose frames may wait in any case: an ordinary thread may be away for two periods of a fast cycle."""
 PACKET_MEMORY_BYTES = 768
-"""What the system counts for a message besides its content, at least (struct sk_buff, skb_shared_info)."""
+"""Memory that the system counts for a message besides its content, at least (struct sk_buff, skb_shared_info)."""
 SEND_PATIENCE_S = 0.1
-"""A bus that cannot take a frame within this time is told to give up, where its interface knows how to."""
+"""Timeout of sending a frame, for interfaces of python-can that have one."""
 RECEIVE_PATIENCE_S = 0.1
 FAILING_S = 0.05
-"""A bus from which nothing but errors has come for this long is gone."""
+"""A bus that has raised nothing but errors for this long is taken to be gone."""
 FAILING_PAUSE_S = 0.001
 END_PATIENCE_S = 3.0
 SWITCH_INTERVAL_S = 0.0005
-"""How long one thread of ordinary Python lets another wait; Python's own 5 ms are most of a cycle."""
+"""How long a thread may keep the interpreter while others wait; Python's default of 5 ms is most of a cycle."""
 
 GONE = frozenset(
     (errno.ENODEV, errno.ENXIO, errno.EIO, errno.EBADF, errno.EPIPE, errno.ESHUTDOWN, errno.ENETDOWN, errno.ECONNRESET)
 )
-"""Reasons of the system that no waiting mends."""
+"""Error numbers that are permanent, so that retrying is no use."""
 
 
 class Traffic(NamedTuple):
-    """What the cycle puts on the bus, for which the bridge holds room."""
+    """The cycle's period and frames, for which the bridge reserves room."""
 
     period_s: float
     frames_per_cycle: int
@@ -76,16 +76,16 @@ class Bridge:
     """A bus of python-can as a wire of the cycle; `close` ends it.
 
     Args:
-        bus: open; the bridge owns it from here on.
-        traffic: of the cycle.
+        bus: an open bus, which the bridge owns from here on.
+        traffic: what the cycle sends.
         tells_classes: whether the bus's error frames are those of Linux (linux/can/error.h).
-        prepare: called in each of its threads before anything else.
+        prepare: called in each of the bridge's threads before anything else.
 
     Attributes:
-        fd: the cycle's end; whoever closes it does so after `close`.
-        unsent_bytes: taken from the cycle and not sent after all.
-        dropped_bytes: received when nobody took what came.
-        trouble: why it ended by itself, empty while it did not.
+        fd: the cycle's end; to be closed by the owner, after `close`.
+        unsent_bytes: bytes that were taken from the cycle and not sent after all.
+        dropped_bytes: bytes that were received while the cycle's end was full.
+        trouble: why the bridge ended by itself; empty if it did not.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class Bridge:
         self.trouble = ""
         ours, self._end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
-        # Linux doubles what it is told here, for its own use.
+        # Linux doubles this number, for its own use.
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, held_back_bytes(traffic) // 2)
         self.fd = ours.detach()
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL_S))
@@ -114,10 +114,9 @@ class Bridge:
             thread.start()
 
     def close(self) -> list[str]:
-        """End the threads and shut the bus down; what was and is not as it should be, in sentences.
+        """End the threads and shut the bus down; returns what went wrong, before and now, in sentences.
 
-        The bus belongs to others' code, which may wait for an adapter that is stuck: it is waited for so long and no
-        longer.
+        The interface's own code may wait for a stuck adapter, so the shutdown is waited for with a timeout.
         """
         said = [f"python-can has lost the adapter ({self.trouble})."] if self.trouble else []
         self._ending = True
@@ -137,11 +136,11 @@ class Bridge:
         for thread in self._threads:
             thread.join()
         self._end.close()
-        with contextlib.suppress(Exception):  # of an adapter that is gone, whatever its interface raises then
+        with contextlib.suppress(Exception):  # whatever an interface raises whose adapter is gone
             self._bus.shutdown()
 
     def _give_up(self, problem: Exception) -> None:
-        """The bus is gone: both threads end, and so does the wire for the cycle."""
+        """End both threads, and with them the wire for the cycle, because the bus is gone."""
         if not self._ending:
             self.trouble = self.trouble or f"{type(problem).__name__}: {problem}"
         self._ending = True
@@ -159,20 +158,20 @@ class Bridge:
                     return
                 if not joined:
                     goes = bool(marks & STOP) or not is_old(made_ms)
-                goes = goes and self._send_one(word, length, content)  # no drive gets half a command
+                goes = goes and self._send_one(word, length, content)  # no drive gets only a part of a command
                 joined = bool(marks & JOINED)
                 if not goes:
                     self.unsent_bytes += CAN_FRAME_BYTES
 
     def _take(self) -> bytes:
-        """A cycle's frames, once they are there; nothing at the end."""
+        """Wait for the frames of a cycle and return them; empty once the socket is shut down."""
         try:
             return self._end.recv(TX_BYTES)
         except OSError:
             return b""
 
     def _send_one(self, word: int, length: int, content: bytes) -> bool:
-        """Whether the bus has taken it."""
+        """Send a frame; whether the bus has taken it."""
         remote = bool(word & REMOTE_FLAG)
         message = self._message(
             arbitration_id=word & EXTENDED_MASK,
@@ -183,7 +182,7 @@ class Bridge:
         )
         try:
             self._bus.send(message, SEND_PATIENCE_S)
-        except Exception as problem:  # whatever the interface's own library raises; the frame is lost in any case
+        except Exception as problem:  # whatever the interface's library raises; the frame is lost in any case
             if is_gone(problem):
                 self._give_up(problem)
             return False
@@ -219,21 +218,21 @@ class Bridge:
 
 
 def is_old(made_ms: int) -> bool:
-    """Whether the cycle that made a frame (CLOCK_MONOTONIC in ms, the lowest 16 bits) is so long ago."""
+    """Whether a frame made at `made_ms` (CLOCK_MONOTONIC in ms, the lowest 16 bits) is older than HELD_BACK_S."""
     return (time.monotonic_ns() // 1_000_000 - made_ms) & 0xFFFF > HELD_BACK_S * 1e3
 
 
 def held_back_bytes(traffic: Traffic) -> int:
-    """What the system may use for frames that wait, in its own count; it takes one message more than fits."""
+    """Memory that the system may use for waiting frames, as it counts it; it accepts one message more than fits."""
     cycles = max(LEAST_HELD_BACK, math.ceil(HELD_BACK_S / traffic.period_s))
     return (cycles - 1) * (traffic.frames_per_cycle * CAN_FRAME_BYTES + PACKET_MEMORY_BYTES)
 
 
 def record_of(message: "can.Message", tells_classes: bool) -> bytes | None:
-    """A message of python-can as the cycle reads it; None for what is nothing to it.
+    """A message of python-can in the form that the cycle reads; None for a message to ignore.
 
-    That is what was sent here (gs_usb reports each frame that left), and CAN FD. Error frames of interfaces that do not
-    tell Linux's classes are counted, no more.
+    Ignored are frames that this process sent (gs_usb reports each of them), and CAN FD. Error frames of interfaces
+    without Linux's classes are passed on to be counted only.
     """
     if not message.is_rx or message.is_fd:
         return None
@@ -252,7 +251,7 @@ def record_of(message: "can.Message", tells_classes: bool) -> bytes | None:
 
 
 def is_gone(problem: BaseException) -> bool:
-    """Whether an exception, or one it came of, says that the adapter is not there any more."""
+    """Whether an exception, or one of its causes, shows that the adapter is gone."""
     seen: set[int] = set()
     here: BaseException | None = problem
     while here is not None and id(here) not in seen:

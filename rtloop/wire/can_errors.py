@@ -1,7 +1,7 @@
-"""What SocketCAN's error frames say of the controller and its bus (linux/can/error.h).
+"""What SocketCAN's error frames report about the controller and its bus (linux/can/error.h).
 
-The class of an error frame is its identifier, details stand in its data. Which of them a driver sends differs: some
-tell of a missing acknowledgement by its class, others as a bus error at the acknowledge slot.
+The identifier of an error frame is its class; its data hold details. Drivers differ in what they send: some report a
+missing acknowledgement by its class, others as a bus error at the acknowledge slot.
 """
 
 from compilation.jit import jit
@@ -16,7 +16,7 @@ _ACKNOWLEDGE_SLOT = 0x19
 
 @jit
 def unacknowledged(error_class: int, data: int) -> bool:
-    """Whether a frame of ours was heard by nobody."""
+    """Whether a frame that this machine sent was not acknowledged by any node."""
     if error_class & NO_ACKNOWLEDGE:
         return True
     return error_class & PROTOCOL != 0 and (data >> 24) & 255 == _ACKNOWLEDGE_SLOT

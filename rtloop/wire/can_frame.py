@@ -1,7 +1,7 @@
-"""CAN frames as SocketCAN has them, in the cycle: `struct can_frame`, 16 bytes (linux/can.h).
+"""CAN frames in SocketCAN's form, in the cycle: `struct can_frame`, 16 bytes (linux/can.h).
 
-u32 id with its flags in the machine's byte order (little-endian on all that run this), u8 length, 3 bytes unused,
-8 bytes of data. A frame with the error flag was made by the controller's driver: `rtloop.wire.can_errors`.
+u32 id with its flags in the machine's byte order (little-endian on all machines that run this), u8 length, 3 bytes
+unused, 8 bytes of data. A frame with the error flag was made by the controller's driver: `rtloop.wire.can_errors`.
 """
 
 from compilation.jit import jit
@@ -25,13 +25,13 @@ RECORD_ERROR = 3
 
 @jit
 def is_carried_by(wire: int) -> bool:
-    """Whether frames go to and come from this wire in this form."""
+    """Whether this wire sends and receives frames in this form."""
     return wire in (WIRE_SOCKETCAN, WIRE_PYTHON_CAN)
 
 
 @jit
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
-    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
+    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False if the buffer is full.
 
     `kind` is bits of `rtloop.memory.frame_words`.
     """
@@ -57,9 +57,9 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
 @jit
 def mark(loop: Loop, marks: int) -> None:
-    """Put our own marks into the unused bytes of the last frame, and when it was made (ms, 16 bits).
+    """Write `marks` and the time of the cycle (ms, 16 bits) into the unused bytes of the last frame in the buffer.
 
-    For `rtloop.wire.bridge`, which sends no set-point that is old.
+    They are for `rtloop.wire.bridge`, which drops set-points that are too old.
     """
     at, made_ms = loop.outgoing.length - CAN_FRAME_BYTES, loop.timing.now_ns // 1_000_000
     loop.outgoing.bytes[at + _MARKS_AT] = marks
@@ -69,10 +69,10 @@ def mark(loop: Loop, marks: int) -> None:
 
 @jit
 def decode_record(loop: Loop, at: int) -> tuple[int, int, int, int, int]:
-    """(RECORD_…, id, kind, length, data) of the record that stands at byte `at` of the receive ring.
+    """(RECORD_…, id, kind, length, data) of the record at byte `at` of the receive ring.
 
-    The ring holds whole records and is a whole number of them long, so none is divided by its end. The id of an error
-    frame is its class. Remote frames are nothing to us.
+    The ring holds whole records and is a whole number of them long, so no record wraps around its end. The id of an
+    error frame is its class. Remote frames are ignored.
     """
     ring = loop.received.bytes
     start = at & (RX_BYTES - 1)
@@ -100,7 +100,7 @@ def decode_record(loop: Loop, at: int) -> tuple[int, int, int, int, int]:
 def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME or CONTROLLER_ERROR, id, kind, length, data) of the next one in the receive ring up to `end`, or NOTHING.
 
-    The records before it are taken; garbled ones are counted.
+    The records up to it are consumed; invalid ones are counted as wire errors.
     """
     parser = loop.parser
     while parser.bytes_taken < end:

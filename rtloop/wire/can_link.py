@@ -1,4 +1,4 @@
-"""What the system says of a CAN interface: sysfs for every network interface, netlink for what only CAN has.
+"""What the system knows of a CAN interface: from sysfs as for any network interface, from netlink what only CAN has.
 
 Constants from linux/if_arp.h, linux/if.h, linux/rtnetlink.h and linux/can/netlink.h.
 """
@@ -25,13 +25,13 @@ PATIENCE_S = 1.0
 
 
 class Link(NamedTuple):
-    """A CAN interface at one moment."""
+    """State of a CAN interface."""
 
     is_up: bool
     queue_frames: int
-    """How many frames the system holds back for it (txqueuelen)."""
+    """How many frames the system queues for it (txqueuelen)."""
     bitrate: int | None
-    """bit/s; None where it has none (vcan) or does not tell."""
+    """bit/s; None if the interface has none (vcan) or does not report it."""
 
 
 def can_interfaces() -> list[str]:
@@ -40,7 +40,7 @@ def can_interfaces() -> list[str]:
 
 
 def link_of(name: str) -> Link | None:
-    """How a CAN interface is at present; None where there is no CAN interface of that name."""
+    """The present state of a CAN interface; None if there is no CAN interface of that name."""
     folder = NETWORK / name
     index = _number(folder / "ifindex")
     flags, queue = _number(folder / "flags"), _number(folder / "tx_queue_len")
@@ -73,7 +73,7 @@ def question(index: int) -> bytes:
 
 
 def bitrate_in(answer: bytes) -> int | None:
-    """The bit rate (bit/s) in the answer to `question`; None where it says none."""
+    """The bit rate (bit/s) in the answer to `question`; None if the answer has none."""
     if len(answer) < _MESSAGE.size + _INTERFACE.size or _MESSAGE.unpack_from(answer)[1] != _RTM_NEWLINK:
         return None
     content = answer[_MESSAGE.size + _INTERFACE.size :]

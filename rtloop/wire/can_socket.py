@@ -1,7 +1,7 @@
-"""Opening a SocketCAN interface: a raw socket that brings what the arm's drives say, and what the controller says.
+"""Opening a SocketCAN interface: a raw socket that receives the frames of the arm's drives and the controller's errors.
 
 This is ordinary Python and runs before the first cycle, and again when the interface is back. Options from
-linux/can/raw.h; loopback stays on, so that `candump` sees what the arm is told, and a socket does not hear itself.
+linux/can/raw.h; loopback stays on, so that `candump` shows the frames to the drives; a socket does not receive its own.
 """
 
 import socket
@@ -14,12 +14,12 @@ from rtloop.wire.can_words import EXTENDED_FLAG, REMOTE_FLAG, WATCHED
 from rtloop.wire.refusal import WireRefused
 
 RECEIVE_BYTES = 1 << 20
-"""Asked for; Linux gives as much as net.core.rmem_max allows, as it comes room for 0.1 s of a full bus and more."""
+"""Requested receive buffer; Linux grants up to net.core.rmem_max, by default room for 0.1 s of a full bus and more."""
 CYCLES_HELD_BACK = 3
 STOPS_HELD_BACK = 3
-"""How many cycles' frames the system may hold, and behind them stop commands for each drive: these must not be lost."""
+"""Cycles whose frames the system may queue, and stop commands for each drive behind them, which must not be lost."""
 FRAME_MEMORY_BYTES = 768
-"""What the system counts for a frame it holds back (struct sk_buff and its data)."""
+"""Memory that the system counts for a queued frame (struct sk_buff and its data)."""
 
 _CAN_RAW_ERR_FILTER = 2  # Python has no name for it
 _SO_MEMINFO = 55
@@ -30,9 +30,9 @@ _FILTER = struct.Struct("=II")
 def open_socketcan(
     channel: str, bitrate: int, heard: Sequence[Identifiers], frames_per_cycle: int, drives: int
 ) -> tuple[int, list[str]]:
-    """Open a CAN interface for frames that are `heard`; its descriptor, non-blocking, and what is not as it should be.
+    """Open a CAN interface to receive frames with the identifiers `heard`; `bitrate` in bit/s.
 
-    Raises WireRefused.
+    Returns its descriptor, non-blocking, and complaints to the operator. Raises WireRefused.
     """
     link = _usable_link(channel, bitrate)
     try:
@@ -43,7 +43,7 @@ def open_socketcan(
         for option, value in filters(heard).items():
             opened.setsockopt(socket.SOL_CAN_RAW, option, value)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
-        # Linux doubles what it is told here, for its own use.
+        # Linux doubles this number, for its own use.
         held_back = frames_held_back(frames_per_cycle, drives)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, held_back * FRAME_MEMORY_BYTES // 2)
         opened.bind((channel,))
@@ -62,12 +62,12 @@ def open_socketcan(
 
 
 def frames_held_back(frames_per_cycle: int, drives: int) -> int:
-    """How many frames the system may hold back for the bus: what it holds longer would be sent late."""
+    """How many frames the system may queue for the bus: with more, frames would be sent late."""
     return CYCLES_HELD_BACK * frames_per_cycle + STOPS_HELD_BACK * drives
 
 
 def filters(heard: Sequence[Identifiers]) -> dict[int, bytes]:
-    """The socket's options: data frames with identifiers that drives use, and the errors that are decoded."""
+    """The socket's options: receive data frames with identifiers that drives use, and the error classes WATCHED."""
     passing = b"".join(
         _FILTER.pack(
             used.match | (EXTENDED_FLAG if used.extended else 0),
@@ -82,7 +82,7 @@ def filters(heard: Sequence[Identifiers]) -> dict[int, bytes]:
 
 
 def dropped_frames(fd: int) -> int:
-    """Frames for which the system had no room since the socket was opened."""
+    """Received frames for which the system had no room since the socket was opened."""
     return _memory_info(fd, _MEMINFO_DROPS)
 
 
@@ -92,7 +92,7 @@ def holds_back(fd: int) -> bool:
 
 
 def _memory_info(fd: int, word: int) -> int:
-    """One of the words that the system says of a socket's memory, 0 where it does not."""
+    """One of the system's words about a socket's memory; 0 if the system does not offer them."""
     words = struct.Struct(f"={_MEMINFO_DROPS + 1}I")
     opened = socket.socket(fileno=fd)
     try:

@@ -1,4 +1,4 @@
-"""Words of Linux's CAN: flags of an identifier (linux/can.h), classes of an error frame (linux/can/error.h)."""
+"""Constants of Linux's CAN: flags of an identifier (linux/can.h), classes of an error frame (linux/can/error.h)."""
 
 EXTENDED_FLAG = 0x80000000
 REMOTE_FLAG = 0x40000000
@@ -17,8 +17,8 @@ BUS_ERROR = 0x080
 RESTARTED = 0x100
 
 WATCHED = TRANSMIT_TIMEOUT | CONTROLLER | PROTOCOL | TRANSCEIVER | NO_ACKNOWLEDGE | BUS_OFF | BUS_ERROR | RESTARTED
-"""The classes asked for: to lose an arbitration is how a bus works, and no error."""
+"""The error classes that a socket subscribes to; a lost arbitration is normal on a bus, and no error."""
 
 STOP = 1
 JOINED = 2
-"""Our own marks on a frame for the bridge: it is a stop command; the next one belongs to the same command."""
+"""rtarm's own marks on a frame for the bridge: it is a stop command; the next frame belongs to the same command."""

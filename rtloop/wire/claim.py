@@ -1,11 +1,11 @@
-"""Which process leads which drives on a bus that several can open: a claim on CAN identifiers, which one of them holds.
+"""Claims on CAN identifiers, so that on a bus that several processes can open each drive has one master.
 
-The system gives a CAN interface to everybody, and so does python-can some of its own; drives with two masters follow
-both. A serial adapter needs no claim: its port is opened for one process alone.
+The system lets any number of processes open a CAN interface, and so does python-can with some of its interfaces; a
+drive with two masters follows both. A serial adapter needs no claim: only one process can open its port.
 
 A claim is one abstract Unix socket for each set of identifiers. It has no file, belongs to the same network namespace
-as the CAN interfaces, is seen by every user and falls with its process. Its name says everything: bus, owner, pid,
-identifiers. Nothing connects to it. While a process compares and claims, a socket more keeps others from doing so.
+as the CAN interfaces, is visible to every user and vanishes with its process. Its name holds everything: bus, owner,
+pid, identifiers. Nothing connects to it. While a process compares and claims, another socket serves as a lock.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rtloop.wire.refusal import WireRefused
 EVERYTHING = (standard(0, mask=0, from_drive=True), extended(0, mask=0, from_drive=True))
 """Every identifier of a bus."""
 PATIENCE_S = 2.0
-"""For another process that is comparing and claiming, which takes it a millisecond."""
+"""Timeout of waiting for another process that compares and claims, which takes a millisecond."""
 _POLL_S = 0.002
 _PREFIX = "rtarm.bus"
 _SOCKETS = Path("/proc/net/unix")
@@ -38,10 +38,10 @@ _PLAIN = re.compile(r"[\w.:+-]{1,40}")
 
 @dataclass(frozen=True)
 class Owner:
-    """Who holds a claim."""
+    """The process that holds a claim."""
 
     arm: str
-    """Its name; empty for `rtarm scan`."""
+    """Name of its arm; empty for `rtarm scan`."""
     pid: int
 
     def __str__(self) -> str:
@@ -49,13 +49,13 @@ class Owner:
 
 
 class Claim:
-    """What a process has claimed, until `close` or its end."""
+    """The claims of a process, held until `close` or the end of the process."""
 
     def __init__(self) -> None:
         self._sockets: list[socket.socket] = []
 
     def add(self, name: str) -> None:
-        """Bind one more name; raises OSError where another process has it."""
+        """Bind one more name; raises OSError if another process has it."""
         bound = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             bound.bind(f"\0{name}")
@@ -71,7 +71,10 @@ class Claim:
 
 
 def claim_for_arm(arm: ArmConfig) -> Claim:
-    """Claim what the drives of an arm hear and say; nothing where its wire is nobody else's. Raises WireRefused."""
+    """Claim the identifiers of an arm's drives and gripper, unless only one process can open its wire.
+
+    Raises WireRefused.
+    """
     bus = _bus_of(arm)
     if bus is None:
         return Claim()
@@ -82,14 +85,14 @@ def claim_for_arm(arm: ArmConfig) -> Claim:
 
 
 def claim_for_scan(channel: str) -> Claim:
-    """Claim all of a CAN interface, on which every address is asked. Raises WireRefused."""
+    """Claim every identifier of a CAN interface, because a scan asks every address. Raises WireRefused."""
     return claim(channel, "", dict.fromkeys(EVERYTHING, "a scan, which asks every address,"))
 
 
 def claim(bus: str, arm: str, users: Mapping[Identifiers, str]) -> Claim:
-    """Claim identifiers on a bus for an arm (empty: for a scan); `users` says which drive's each is.
+    """Claim identifiers on a bus for an arm (empty: for a scan); `users` names the drive of each.
 
-    Raises WireRefused where another process has claimed one of them.
+    Raises WireRefused if another process has claimed one of them.
     """
     try:
         return _claimed(bus, arm, users)
@@ -123,7 +126,7 @@ def _claimed(bus: str, arm: str, users: Mapping[Identifiers, str]) -> Claim:
 
 
 def _bus_of(arm: ArmConfig) -> str | None:
-    """What several processes can open, by a name that is the same for all of them."""
+    """Name of the arm's bus, the same in all processes; None if only one process can open it."""
     bus, by_python_can = arm.bus, arm.bus.python_can
     if bus.interface == "socketcan" or (by_python_can is not None and by_python_can.interface == "socketcan"):
         return bus.resolved_channel
@@ -134,7 +137,7 @@ def _bus_of(arm: ArmConfig) -> str | None:
 
 
 def _prefix(bus: str) -> str:
-    """How the names of a bus's sockets begin, which have 107 bytes in all."""
+    """Beginning of the names of a bus's sockets; a name has at most 107 bytes in all."""
     plain = bus if _PLAIN.fullmatch(bus) else hashlib.blake2b(bus.encode(), digest_size=16).hexdigest()
     return f"{_PREFIX}/{plain}/"
 
@@ -144,7 +147,7 @@ def _written(used: Identifiers) -> str:
 
 
 def _read(name: str) -> tuple[Identifiers, Owner]:
-    """What a name behind its prefix says; raises ValueError where it is none of a claim."""
+    """Identifiers and owner in a name without its prefix; raises ValueError if it is not the name of a claim."""
     arm, pid, text = name.split("/")
     match, mask = (int(number, 16) for number in text[1:].split("."))
     make = {"x": extended, "s": standard}.get(text[:1])
@@ -154,7 +157,7 @@ def _read(name: str) -> tuple[Identifiers, Owner]:
 
 
 def _claims(bus: str) -> Iterator[tuple[Identifiers, Owner]]:
-    """What is claimed on a bus now."""
+    """The present claims on a bus."""
     prefix = f"@{_prefix(bus)}"
     for line in _SOCKETS.read_text(errors="replace").splitlines():
         columns = line.split(maxsplit=_PATH_COLUMN)
@@ -165,7 +168,7 @@ def _claims(bus: str) -> Iterator[tuple[Identifiers, Owner]]:
 
 @contextlib.contextmanager
 def _no_other_claims(bus: str) -> Iterator[None]:
-    """Around comparing and claiming; raises WireRefused where another process stands still amid that."""
+    """Lock for comparing and claiming; raises WireRefused if another process keeps it for PATIENCE_S."""
     comparing = Claim()
     until_s = time.monotonic() + PATIENCE_S
     while True:

@@ -1,4 +1,4 @@
-"""What a wire's bytes turned out to be, for the cycle."""
+"""Results of decoding a wire's bytes in the cycle."""
 
 NOTHING = 0
 FRAME = 1

@@ -1,8 +1,8 @@
 """What adapters with binary frames have in common: bytes are collected until a frame can be judged.
 
-Nothing is escaped in such frames, so one is parsed by its length and believed for its trailer. What is none loses its
-first byte, and the rest is looked at again from the next byte that could begin one: a frame that was cut, or a byte too
-many, costs that frame alone. Loss is counted once until the next sound frame, however many bytes it takes.
+Nothing is escaped in such frames, so a frame is parsed by its length and accepted for its trailer. If the bytes are no
+frame, the first is dropped, and parsing resumes at the next byte that could begin a frame: a truncated frame, or a
+surplus byte, costs that frame alone. A loss counts once until the next sound frame, however many bytes it takes.
 """
 
 from compilation.jit import jit
@@ -17,7 +17,7 @@ WRONG = 3
 
 @jit
 def collect(loop: Loop, end: int) -> bool:
-    """Take bytes of the receive ring up to `end`; True when there are enough to look at (`wait_for` says how many)."""
+    """Move bytes from the receive ring up to `end` into the line; True once there are as many as `wait_for` has set."""
     parser, ring, line = loop.parser, loop.received.bytes, loop.parser.line
     needed = max(parser.line_needed, 1)
     have, at = parser.line_length, parser.bytes_taken
@@ -31,14 +31,14 @@ def collect(loop: Loop, end: int) -> bool:
 
 @jit
 def wait_for(loop: Loop, count: int) -> int:
-    """No look before so many bytes are there, LINE_BYTES at most."""
+    """Set how many bytes must be collected before the next attempt to parse, LINE_BYTES at most; MORE."""
     loop.parser.line_needed = count
     return MORE
 
 
 @jit
 def take_out(loop: Loop, count: int, shortest: int) -> None:
-    """Forget the first bytes; the next frame has `shortest` bytes at the least."""
+    """Remove the first `count` bytes of the line; the next frame has at least `shortest` bytes."""
     parser, line = loop.parser, loop.parser.line
     left = parser.line_length - count
     for i in range(left):
@@ -49,14 +49,17 @@ def take_out(loop: Loop, count: int, shortest: int) -> None:
 
 @jit
 def found_sound(loop: Loop, count: int, shortest: int) -> None:
-    """The first bytes were a frame."""
+    """Remove the first `count` bytes of the line, which were a sound frame."""
     take_out(loop, count, shortest)
     loop.parser.line_spoilt = 0
 
 
 @jit
 def resynchronise(loop: Loop, start: int, shortest: int) -> int:
-    """The first byte begins no frame: forget it, and all up to the next `start`. WRONG the first time, then OTHER."""
+    """Remove the first byte, which begins no frame, and all up to the next `start`.
+
+    WRONG the first time since a sound frame, then OTHER.
+    """
     parser, line = loop.parser, loop.parser.line
     at = 1
     while at < parser.line_length and line[at] != start:

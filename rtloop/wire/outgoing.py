@@ -1,8 +1,9 @@
-"""What a cycle wants to send: frames in the form of the wire, one after the other in the transmit buffer.
+"""Frames that a cycle sends, in the form of the wire, one after the other in the transmit buffer.
 
-The buffer knows where each frame ends and which of them belong to one command. A wire may take only a part of it. What
-it did not take is not sent late, because newer frames say it better and a drive may have lost its reference meanwhile;
-but a frame that is half on its way, and the rest of a command that a drive has the first packet of, still go first.
+The buffer records where each frame ends and which frames belong to one command. A wire may take only a part of it. The
+frames that it did not take are dropped and not sent late: the next cycle makes newer ones, and a drive may have lost
+its reference meanwhile. Two things are still sent, before the frames of the next cycle: the rest of a frame that was
+sent in part, and the rest of a command of which the drive has received the first packet.
 """
 
 from compilation.jit import jit
@@ -16,7 +17,7 @@ from rtloop.wire import can_frame, wires
 from rtloop.wire.can_words import JOINED, STOP
 
 LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE
-"""No wire needs more for a frame."""
+"""Bytes of a frame that no wire exceeds."""
 
 
 _data_frame_bits = jit(unchecked_frame_bits)
@@ -32,11 +33,11 @@ def frame_bits(kind: int, length: int) -> int:
 def send(
     loop: Loop, shared: Shared, frame_id: int, kind: int, length: int, data: int, joined: int = 0, stops: int = -1
 ) -> bool:
-    """Append a frame for the wire, and count it; False when there is no room. See `put`.
+    """Append a frame to the transmit buffer (see `put`), and count it as sent; False if there is no room.
 
-    What the wire then does not take is taken back.
+    If the wire does not take it, the counters are corrected later.
     """
-    # as plain numbers: what is known when this is compiled would be compiled apart, down to the wire's codec
+    # plain ints: for constants numba would compile separate versions, down to the wire's codec
     if not put(loop, int(frame_id), int(kind), int(length), int(data), int(joined), int(stops)):
         return False
     bits = frame_bits(kind, length)
@@ -49,10 +50,10 @@ def send(
 
 @jit
 def put(loop: Loop, frame_id: int, kind: int, length: int, data: int, joined: int, stops: int = -1) -> bool:
-    """Append a frame as this arm's wire wants it; False when there is no room.
+    """Append a frame to the transmit buffer in the form of this arm's wire; False if there is no room.
 
-    `kind` is bits of `frame_words`; `data` holds the bytes, the first lowest; `joined` is 1 where the next frame
-    belongs to the same command; `stops` is the joint whose stop command it is, -1 for none.
+    `kind` is bits of `frame_words`; `data` holds the bytes, the first lowest; `joined` is 1 if the next frame belongs
+    to the same command; `stops` is the joint whose stop command it is, -1 for none.
     """
     outgoing = loop.outgoing
     if not has_room(loop, 1) or not wires.encode_frame(loop, frame_id, kind, length, data):
@@ -72,24 +73,27 @@ def put(loop: Loop, frame_id: int, kind: int, length: int, data: int, joined: in
 
 @jit
 def has_room(loop: Loop, frames: int) -> bool:
-    """Whether so many frames fit, however long they are."""
+    """Whether `frames` more frames fit into the transmit buffer, however long they are."""
     outgoing = loop.outgoing
     return outgoing.frames + frames <= TX_FRAMES and outgoing.length + frames * LONGEST_FRAME_BYTES <= TX_BYTES
 
 
 @jit
 def begin(loop: Loop, shared: Shared) -> None:
-    """Make room for a cycle's frames: of what is left over, only what is owed to a drive stays."""
+    """Make room for a cycle's frames: of the frames left over, only those that are owed to a drive stay."""
     outgoing = loop.outgoing
     outgoing.bits = 0
-    if outgoing.length == 0:  # whoever took it all need not know more
+    if outgoing.length == 0:  # a caller that took all bytes may just have set the length to 0
         outgoing.frames = 0
     keep(loop, shared, 0, 0, min(outgoing.owed, outgoing.frames))
 
 
 @jit
 def took(loop: Loop, shared: Shared, sent: int) -> None:
-    """The wire has taken the first `sent` bytes: what is owed of the rest leads the next cycle's; no more is kept."""
+    """Remove the first `sent` bytes, which the wire has taken, and drop the rest except the frames that are owed.
+
+    Those are sent before the frames of the next cycle.
+    """
     outgoing = loop.outgoing
     ends, joined = outgoing.ends, outgoing.joined
     shared.counters.bytes_sent += sent
@@ -108,10 +112,10 @@ def took(loop: Loop, shared: Shared, sent: int) -> None:
 
 @jit
 def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
-    """Keep the frames from `first` to before `end`, without the `sent` bytes at the front.
+    """Keep the frames from `first` up to, not including, `end`, and remove the first `sent` bytes.
 
-    Those before were sent, which is recorded; those behind are dropped, which is counted, and a stop command among them
-    is still due.
+    The frames before `first` were sent: they are recorded in the flight recorder. The frames from `end` on are dropped:
+    they are counted, and a stop command among them is due again.
     """
     outgoing = loop.outgoing
     ends = outgoing.ends
@@ -151,7 +155,10 @@ def keep(loop: Loop, shared: Shared, sent: int, first: int, end: int) -> None:
 
 @jit
 def take_back(loop: Loop, shared: Shared, unsent: int) -> None:
-    """Of the bytes that the wire took, so many were not sent after all, in all since the start: whole CAN frames."""
+    """Correct the counters for bytes that the wire took and did not send after all.
+
+    `unsent` is their number since the start, a whole number of CAN frames.
+    """
     more = unsent - loop.outgoing.unsent_taken_back
     loop.outgoing.unsent_taken_back = unsent
     shared.counters.bytes_unsent += more
@@ -161,7 +168,7 @@ def take_back(loop: Loop, shared: Shared, unsent: int) -> None:
 
 @jit
 def forget(loop: Loop, shared: Shared) -> None:
-    """There is no wire, or another one: nothing of before is sent."""
+    """Drop all frames, owed ones too, because the wire is gone or is another one."""
     loop.outgoing.owed = 0
     begin(loop, shared)
     loop.bus.unheard_frames = 0

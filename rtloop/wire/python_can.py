@@ -1,4 +1,4 @@
-"""Opening a bus of python-can: any of its interfaces, as the section `bus.python_can` says, or a sentence why not."""
+"""Opening a bus of python-can: any of its interfaces, as the section `bus.python_can` of the arm file says."""
 
 import contextlib
 import importlib
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     import can
 
 BELOW_THE_CYCLE = 20
-"""Priority of the bridge's threads: below the reader, which only passes on what has come."""
+"""How far the priority of the bridge's threads is below the cycle's: below the reader, which only passes bytes on."""
 LINUX_CLASSES = frozenset(("gs_usb", "socketcan"))
-"""Interfaces whose error frames carry Linux's classes: the device's own, or the system's."""
+"""Interfaces whose error frames carry Linux's classes, made by the device or by the system."""
 ADVICE = {
     "gs_usb": "`pip install gs_usb` and `sudo apt install libusb-1.0-0`; or take the kernel's own driver gs_usb, which "
     "is quicker (interface socketcan)",
@@ -31,21 +31,21 @@ ADVICE = {
     "serial": "`pip install pyserial`",
     "robotell": "`pip install pyserial`",
 }
-"""What an interface of python-can needs besides."""
+"""What an interface of python-can needs to be installed."""
 _LOOKED_FOR = re.compile(r"""kwargs(?:\.get\(|\.pop\(|\[)\s*["'](\w+)["']""")
 
 
 def open_python_can(arm: ArmConfig) -> Bridge:
     """Open the arm's bus through python-can; raises WireRefused."""
     settings = arm.bus.python_can
-    assert settings is not None  # the schema sees to that
+    assert settings is not None  # the schema makes sure of that
     try:
         import can
     except ImportError:
         raise WireRefused(
             "python-can is not installed, and bus.interface python-can needs it: `pip install python-can`."
         ) from None
-    logging.getLogger("can").addHandler(logging.NullHandler())  # what matters of it becomes a sentence of ours
+    logging.getLogger("can").addHandler(logging.NullHandler())  # what matters becomes a sentence of rtarm's own
     logging.getLogger("can").propagate = False
     cycle = cycle_frames(arm)
     options = all_options(arm)
@@ -65,7 +65,7 @@ def open_python_can(arm: ArmConfig) -> Bridge:
 
 
 def all_options(arm: ArmConfig) -> dict[str, Any]:
-    """What python-can is given: what the arm file's sections say, and what the user has added to it."""
+    """Arguments for python-can: from the sections of the arm file, and the options that the user has added."""
     settings = arm.bus.python_can
     assert settings is not None
     options: dict[str, Any] = {"channel": arm.bus.resolved_channel, "bitrate": arm.bus.bitrate}
@@ -94,7 +94,10 @@ def _bus_class(interface: str) -> "type[can.BusABC]":
 
 
 def _refuse_unknown_options(settings: PythonCan, bus_class: "type[can.BusABC]", options: dict[str, Any]) -> None:
-    """Most classes swallow what they do not know, and a mistyped option would do nothing."""
+    """Raise WireRefused for an unknown option: most classes ignore unknown arguments, so a typo would go unnoticed.
+
+    Removes `bitrate` from `options` if the class does not take it.
+    """
     known = known_options(bus_class)
     for name in settings.options:
         if name not in known:
@@ -108,7 +111,7 @@ def _refuse_unknown_options(settings: PythonCan, bus_class: "type[can.BusABC]", 
 
 
 def known_options(bus_class: "type[can.BusABC]") -> set[str]:
-    """What a class of python-can takes: its arguments, and what it looks for among those without a name (`kwargs`)."""
+    """Options of a class of python-can: its named arguments, and those that its source looks up in `kwargs`."""
     known: set[str] = set()
     for owner in bus_class.__mro__:
         if "__init__" in vars(owner) and owner is not object:
@@ -137,6 +140,6 @@ def _advice(interface: str) -> str:
 
 
 def _text(problem: Exception) -> str:
-    """What an exception says, as a part of a sentence."""
+    """The text of an exception, as a part of a sentence."""
     said = " ".join(str(problem).split()).rstrip(".")
     return said or type(problem).__name__

@@ -1,4 +1,4 @@
-"""The ring through which bytes from the wire reach the cycle, with the time at which each chunk came.
+"""The ring through which bytes from the wire reach the cycle, with the time at which each chunk arrived.
 
 Single producer (the reader thread, or a test), single consumer (the cycle). A full ring drops the newest
 bytes and counts them; the SLCAN parser finds the next line by itself, and CAN frames come and go whole.
@@ -25,7 +25,7 @@ _CHUNKS_TAKEN = offset_of(LOOP, "received", "taken", "chunks")
 
 @jit
 def push(loop: Loop, time_ns: int, source: Any, count: int) -> None:
-    """Producer: append `count` bytes of the uint8 array `source`, received at time_ns."""
+    """Producer: append `count` bytes of the uint8 array `source`, received at `time_ns`."""
     base = loop.params.address
     written = load_relaxed(base + _ARRIVED)
     chunks = load_relaxed(base + _CHUNKS_ARRIVED)
@@ -59,7 +59,7 @@ def close(loop: Loop, error: int) -> None:
 
 @jit
 def awake(loop: Loop, time_ns: int) -> None:
-    """Producer: the reader's thread runs."""
+    """Producer: publish `time_ns`, at which the reader's thread went to look for bytes."""
     # pairs with `woke_ns`; a time alone
     store_release(loop.params.address + _WOKE, time_ns)
 

@@ -2,4 +2,4 @@
 
 
 class WireRefused(Exception):
-    """The adapter cannot be used; the text is the sentence people read."""
+    """The adapter cannot be used; the text is the sentence for the operator."""

@@ -1,9 +1,9 @@
 """Frames of a Seeed or Waveshare USB-CAN-A adapter in its variable-length framing, in the cycle.
 
 `AA`, then C0 | extended << 5 | remote << 4 | length, the identifier (2 or 4 bytes, the lowest first), the data, `55`
-(facts/can-adapters.md, section 2). `AA 55` begins what has 20 bytes and a sum instead: status, or a frame of the fixed
-framing that an adapter uses before it is set up. A remote frame has no data; should an adapter send as many bytes as
-are asked for, they are skipped.
+(facts/can-adapters.md, section 2). `AA 55` begins a message of 20 bytes with a check sum instead: a status, or a frame
+of the fixed framing that an adapter uses before it is set up. A remote frame has no data; if an adapter sends as many
+bytes as are requested, they are skipped.
 """
 
 from compilation.jit import jit
@@ -17,7 +17,7 @@ START, END = 0xAA, 0x55
 LONGEST_FRAME_BYTES = 15
 SHORTEST_FRAME_BYTES = 5
 FIXED_BYTES = 20
-"""Of what begins with `AA 55`; the last is the sum of those behind that."""
+"""Length of a message that begins with `AA 55`; its last byte is the sum of the bytes in between."""
 LONGEST_DATA = 8
 _KIND = 0xC0
 _EXTENDED_BIT, _REMOTE_BIT = 0x20, 0x10
@@ -26,7 +26,7 @@ _LENGTH_BITS = 0x0F
 
 @jit
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
-    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
+    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False if the buffer is full.
 
     `kind` is bits of `rtloop.memory.frame_words`.
     """
@@ -52,7 +52,8 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME, id, kind, length, data) of the next data frame in the receive ring up to `end`, or NOTHING.
 
-    The bytes before it are taken; what is none of a frame is counted. Remote frames are nothing to us.
+    The bytes up to the end of the frame are consumed; bytes that belong to no frame are counted as a wire error. Remote
+    frames are ignored.
     """
     while framed.collect(loop, end):
         found, frame_id, kind, length, data = look(loop)
@@ -65,9 +66,9 @@ def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int
 
 @jit
 def look(loop: Loop) -> tuple[int, int, int, int, int]:
-    """(framed.…, id, kind, length, data) of what the collected bytes begin with.
+    """(framed.…, id, kind, length, data) of the frame at the beginning of the collected bytes.
 
-    Unless there must be MORE of them it is taken out.
+    It is removed from them, unless it takes MORE bytes to tell.
     """
     parser, line = loop.parser, loop.parser.line
     head = int(line[1])
@@ -102,7 +103,7 @@ def look(loop: Loop) -> tuple[int, int, int, int, int]:
 
 @jit
 def look_at_fixed(loop: Loop) -> int:
-    """framed.… of what begins with `AA 55`: whole and sound it is skipped."""
+    """framed.… of a message that begins with `AA 55`: a complete, sound one is skipped."""
     line = loop.parser.line
     if loop.parser.line_length < FIXED_BYTES:
         return framed.wait_for(loop, FIXED_BYTES)

@@ -1,9 +1,9 @@
 """SLCAN (LAWICEL) lines to and from CAN frames, in the cycle.
 
 `T` + 8 hex digits of id + length digit + data (extended), `t` + 3 digits (standard), `R` and `r` the same without data
-(remote frames), every line closed by CR; BEL (07) is the adapter's refusal. Transmit answers (`z`, `Z`), empty lines
+(remote frames); every line ends with CR; BEL (07) is the adapter's refusal. Transmit answers (`z`, `Z`), empty lines
 and anything unknown are dropped: adapters differ in what they answer, so nothing here waits for an answer. A time stamp
-after the data (`Z1`, `Z2`) is ignored because the length digit says where the data end.
+after the data (`Z1`, `Z2`) is ignored, because the length digit says where the data end.
 """
 
 from string import hexdigits
@@ -23,7 +23,7 @@ _T_STANDARD = ord("t")
 _R_EXTENDED = ord("R")
 _R_STANDARD = ord("r")
 _HEX_VALUES = np.array([int(chr(code), 16) if chr(code) in hexdigits else -1 for code in range(256)], np.int8)
-"""A table, because nobody can guess whether the next digit is a letter: not even a branch predictor."""
+"""A table without branches, because no branch predictor can guess whether the next digit is a letter."""
 
 
 @jit
@@ -40,7 +40,7 @@ def hex_value(code: int) -> int:
 
 @jit
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
-    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False when full.
+    """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False if the buffer is full.
 
     `kind` is bits of `rtloop.memory.frame_words`.
     """
@@ -76,7 +76,7 @@ LINE_WRONG = 2
 
 @jit
 def decode_line(loop: Loop) -> tuple[int, int, int, int, int]:
-    """(LINE_…, id, kind, length, data) of the line collected in `loop.parser.line`; remote frames are nothing to us."""
+    """(LINE_…, id, kind, length, data) of the line collected in `loop.parser.line`; remote frames are LINE_OTHER."""
     line, count = loop.parser.line, loop.parser.line_length
     if count == 0 or (line[0] != _T_EXTENDED and line[0] != _T_STANDARD):
         return LINE_OTHER, 0, 0, 0, 0
@@ -106,7 +106,7 @@ def decode_line(loop: Loop) -> tuple[int, int, int, int, int]:
 
 @jit
 def collect(loop: Loop, byte: int) -> bool:
-    """Add a received byte to the line; True when it completes one (an overlong line is spoilt, not kept)."""
+    """Add a received byte to the line; True if it completes the line. An overlong line is marked as spoilt."""
     parser = loop.parser
     if byte == CR:
         return True
@@ -122,7 +122,7 @@ def collect(loop: Loop, byte: int) -> bool:
 def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME, id, kind, length, data) of the next data frame in the receive ring up to `end`, or NOTHING.
 
-    The characters before it are taken; refusals (BEL) and garbled lines are counted.
+    The characters up to its end are consumed; refusals (BEL) and garbled lines are counted as wire errors.
     """
     parser, ring = loop.parser, loop.received.bytes
     for at in range(parser.bytes_taken, end):

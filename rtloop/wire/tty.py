@@ -1,9 +1,9 @@
 """Opening a serial CAN adapter: the tty raw and exclusive, the SLCAN channel at the right bit rate.
 
-This is ordinary Python and runs before the first cycle. Adapters differ in what they answer (LAWICEL: CR or
-BEL, the original canable: nothing), so an answer is looked for during a short while and only a refusal
-counts. An adapter may be in any state: its predecessor was killed in the middle of a line and left the channel
-open, or an adapter with the canable firmware in its silent mode (`M1`).
+This is ordinary Python and runs before the first cycle. Adapters differ in what they answer (LAWICEL: CR or BEL, the
+original canable: nothing), so an answer is waited for with a short timeout, and only a refusal counts. An adapter may
+be in any state: an earlier process may have been killed in the middle of a line and left the channel open, or may have
+left an adapter with the canable firmware in its silent mode (`M1`).
 """
 
 import array
@@ -28,25 +28,25 @@ _SERIAL_STRUCT_INTS = 18
 _FLAGS_INT = 4
 CR, BEL = b"\r", b"\x07"
 CLOSING = b"\rC\r"
-"""Ends a line that may be half said, then the channel."""
+"""Ends a line that may have been sent in part, then closes the channel."""
 FORGETTING = b"\r\r" + CLOSING + b"M0\r"
-"""The same, and makes a canable that was left silent speak again; others refuse that, as they may."""
+"""The same, and ends the silent mode of a canable; other adapters may refuse that."""
 QUIET_S = 0.05
-"""An adapter that has said nothing for so long has said all it had to; FTDI chips hold bytes back for 16 ms."""
+"""An adapter that has sent nothing for so long has nothing more to send; FTDI chips hold bytes back for 16 ms."""
 DRAINED_WITHIN_S = 0.5
 N_SLCAN = 17
-"""The line discipline of the kernel's SLCAN driver (linux/tty.h), which `slcand` puts a port in."""
+"""The line discipline of the kernel's SLCAN driver (linux/tty.h), which `slcand` sets for a port."""
 _TIOCGETD = 0x5424
 
 
 def open_port(channel: str, serial_baud: int | str) -> int:
-    """Open a serial port for ourselves alone, raw; its descriptor, non-blocking. Raises WireRefused."""
+    """Open a serial port, exclusive and raw, and return its descriptor, non-blocking. Raises WireRefused."""
     fd = _open_tty(channel)
     try:
         _make_raw(fd, channel, serial_baud)
         _ask_for_low_latency(fd)
         termios.tcflush(fd, termios.TCIOFLUSH)
-    except (OSError, termios.error) as problem:  # the latter is none of the former
+    except (OSError, termios.error) as problem:  # termios.error is no OSError
         os.close(fd)
         raise _gone(channel, problem) from problem
     except BaseException:
@@ -57,7 +57,7 @@ def open_port(channel: str, serial_baud: int | str) -> int:
 
 @contextlib.contextmanager
 def setting_up(channel: str, serial_baud: int | str) -> Iterator[int]:
-    """A port that is open; what goes wrong while it is set up closes it. Raises WireRefused."""
+    """Open a port; if an error occurs within the context, the port is closed. Raises WireRefused."""
     fd = open_port(channel, serial_baud)
     try:
         yield fd
@@ -72,7 +72,7 @@ def setting_up(channel: str, serial_baud: int | str) -> Iterator[int]:
 def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:
     """Open an SLCAN adapter and return its descriptor, non-blocking; raises WireRefused."""
     with setting_up(channel, serial_baud) as fd:
-        os.write(fd, FORGETTING)  # an adapter that is closed already may refuse this, which is as good
+        os.write(fd, FORGETTING)  # an adapter whose channel is closed may refuse this, which does no harm
         drain(fd)
         rate = SLCAN_BITRATES[bitrate]
         if _say(fd, f"{rate}\r".encode()) == BEL:
@@ -91,14 +91,17 @@ def open_slcan(channel: str, serial_baud: int | str, bitrate: int) -> int:
 def close_slcan(fd: int) -> None:
     """Close the channel and the tty; an adapter that is gone already is no error.
 
-    What the system still keeps is dropped first, and the adapter drops what it keeps when its channel is closed: drives
-    that get their power back later must not hear targets of today.
+    Bytes that the system still holds are dropped first, and the adapter drops its own when its channel is closed. So
+    drives that get their power back later do not receive old targets.
     """
     close_port(fd, CLOSING)
 
 
 def close_port(fd: int, farewell: bytes) -> None:
-    """Drop what the system keeps for the adapter, say something last and close; one that is gone is no error."""
+    """Drop the bytes that the system holds for the adapter, write `farewell` and close the port.
+
+    An adapter that is gone is no error.
+    """
     with contextlib.suppress(OSError, termios.error):
         termios.tcflush(fd, termios.TCOFLUSH)
     with contextlib.suppress(OSError):
@@ -107,7 +110,7 @@ def close_port(fd: int, farewell: bytes) -> None:
 
 
 def drain(fd: int, quiet_s: float = QUIET_S) -> bytes:
-    """What an adapter says until it says no more for so long, or for half a second where it does not cease."""
+    """Read until the adapter has sent nothing for `quiet_s`, or for half a second if it goes on; what was read."""
     said = b""
     deadline = time.monotonic() + DRAINED_WITHIN_S
     while time.monotonic() < deadline and select.select([fd], [], [], quiet_s)[0]:
@@ -192,7 +195,7 @@ def _make_raw(fd: int, channel: str, serial_baud: int | str) -> None:
 
 
 def _ask_for_low_latency(fd: int) -> None:
-    """What `setserial low_latency` does; ports without the flag (ttyACM, pseudo-terminals) say no."""
+    """Set the low-latency flag, as `setserial low_latency` does; ports without it (ttyACM, pseudo-terminals) refuse."""
     settings = array.array("i", [0] * _SERIAL_STRUCT_INTS)
     with contextlib.suppress(OSError):
         fcntl.ioctl(fd, _TIOCGSERIAL, settings)
@@ -201,9 +204,10 @@ def _ask_for_low_latency(fd: int) -> None:
 
 
 def _say(fd: int, command: bytes) -> bytes:
-    """Send a command; CR or BEL, or nothing where it is not answered within a short while.
+    """Send a command; returns the answer, CR or BEL, or nothing if none comes within ANSWER_PATIENCE_S.
 
-    Lines that are not empty answer no command of ours: frames of an open channel, or what an adapter says of itself.
+    A line that is not empty is no answer to such a command: it is a frame of an open channel, or a message of the
+    adapter's own.
     """
     os.write(fd, command)
     answer = b""

@@ -1,6 +1,6 @@
-"""Wires, as the cycle sees them: one line a wire in each of these functions.
+"""Wires, as the cycle sees them: each function here calls the one of the arm's wire.
 
-A wire's file has these functions for its own bytes.
+The file of a wire has `encode_frame` and `next_frame` for its own bytes.
 """
 
 from compilation.jit import jit
@@ -12,7 +12,7 @@ from rtloop.wire.found import NOTHING
 
 @jit
 def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
-    """Append a frame to the transmit buffer as this arm's wire wants it; False where there is no room.
+    """Append a frame to the transmit buffer in the form of this arm's wire; False if there is no room.
 
     `kind` is bits of `frame_words`; `data` holds the bytes, the first lowest.
     """
@@ -30,9 +30,9 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
 @jit
 def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
-    """(found.…, id, kind, length, data) of the next frame in the receive ring up to `end`; what is none is counted.
+    """(found.…, id, kind, length, data) of the next frame in the receive ring up to `end`; invalid bytes are counted.
 
-    NOTHING when all bytes up to `end` are taken; a frame that they begin waits for the rest of it.
+    NOTHING once all bytes up to `end` are consumed; the beginning of an incomplete frame is kept for the next call.
     """
     wire = loop.params.wire
     if wire == WIRE_SLCAN:
@@ -48,6 +48,6 @@ def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int
 
 @jit
 def forget_half_frames(loop: Loop) -> None:
-    """What has come so far belongs to no frame of what comes now."""
+    """Drop the beginning of an incomplete frame: the bytes that come now do not continue it."""
     parser = loop.parser
     parser.line_length = parser.line_spoilt = parser.line_needed = 0

@@ -1,1 +1,1 @@
-"""Turning one drive a little at a time beside an offline cycle, for a person who finds out how its joint is built."""
+"""Small moves of one drive at a time while the cycle is offline, for a person who finds out how joints are built."""

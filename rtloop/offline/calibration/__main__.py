@@ -1,10 +1,10 @@
 """`python -m rtloop.offline.calibration ARM`: a control process that brings nothing up and turns one drive at a time.
 
-Prints `ready {drives}`, then obeys lines on its standard input until that ends: `look J`, `turn J COUNTS RPM`,
-`release J`, `hold J`, `home J` with joint numbers from 0. Each is answered by `state {…}`, which says `not_done` where
-nothing was done and why; `told …` lines come meanwhile. Whatever fails is printed as `refused …` and ends it. A line,
-or the end of the input, in the middle of a move stops that move and ends it. Joints that were let go hold again
-at the end. Exit codes as of `python -m rtloop`.
+It prints `ready {drives}` and then obeys lines on its standard input until the input ends: `look J`,
+`turn J COUNTS RPM`, `release J`, `hold J`, `home J` with joint numbers from 0. Each is answered by `state {…}`; if
+nothing was done, that holds `not_done` with the reason. `told …` lines come in between. A failure is printed as
+`refused …` and ends the program. A line, or the end of the input, in the middle of a move stops the move and ends the
+program. At the end, joints that were released hold again. Exit codes as of `python -m rtloop`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
-    """Read, say what was read, and obey."""
+    """Read what the drives are, print it, and obey orders."""
 
     def pause_unless_interrupted() -> None:
         pause()
@@ -69,7 +69,7 @@ def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
 
 
 def obey(session: Session, words: list[str]) -> DriveState:
-    """What stands after an order."""
+    """Carry out an order; the drive's state after it. Raises NotDone for an unknown order."""
     match words:
         case ["look", joint]:
             return session.look(int(joint))

@@ -1,4 +1,4 @@
-"""The order of the conversations with which a person finds out how joints are built; one drive moves at a time."""
+"""The conversations with which a person finds out how joints are built; one drive moves at a time."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ from rtloop.wire.refusal import WireRefused
 from shm.words import Unreferenced
 
 MOST_RPM = 10
-"""No motor is turned faster."""
+"""Highest speed of a motor."""
 MOST_TURNS = 2
-"""No single move of a motor is longer."""
+"""Longest single move of a motor (revolutions)."""
 
 Result = TypeVar("Result")
 
 
 class NotDone(Exception):
-    """Something was asked for that is not done here, and nothing moved; the text is the sentence people read."""
+    """A request is not carried out, and nothing has moved; the text is the sentence for the operator."""
 
 
 @dataclass(frozen=True)
 class DriveState:
-    """How one drive stands."""
+    """State of one drive."""
 
     counts: int
-    """Where its motor stands, by its own encoder."""
+    """Position of its motor, by its own encoder."""
     enabled: bool
     doubt: str | None
-    """Why its count is not known to be one from its homing stop, after the joint's name; None if it is."""
+    """Why its count may not be one from its homing stop, to follow the joint's name; None if it is."""
 
 
 class Session:
     """All conversations of one calibration.
 
-    `pause` lets time pass between two looks at a conversation and may raise to end it; a drive that moves then is
-    stopped first, while `rest` lets time pass, which does not raise. `tell` gets sentences of a homing run, and
-    `keep_lost` remembers why a joint's angle is not known, or that it is; `lost_before` is what was known of that.
-    `marks` are those that the drives have (`rtloop.drives.power`): a homing run gives another one.
+    `pause` lets time pass between two polls of a conversation, and may raise to end the session. A drive that moves
+    then is stopped first; meanwhile `rest`, which does not raise, lets time pass. `tell` gets the sentences of a homing
+    run. `keep_lost` stores why a joint's angle is not known, or that it is; `lost_before` is what was stored before.
+    `marks` are the drives' marks (`rtloop.drives.power`); a homing run gives the drive another one.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Session:
         self.found: dict[int, Found] = {}
 
     def read(self) -> None:
-        """Ask every drive what it is; what that is stands in `found`, by joint."""
+        """Read what every drive is into `found`, by joint."""
         talk = ReadSettings(self.arm, self.port, now_ns=self._clock_ns())
         self._hold(talk)
         for joint, report in reports_of(self.arm, talk.found).items():
@@ -90,11 +90,11 @@ class Session:
             self._tells_power_loss[joint] = motors.tells_power_loss(reading)
 
     def look(self, joint: int) -> DriveState:
-        """How the drive stands."""
+        """The drive's state."""
         return self._state(joint, self.have(joint, lambda motor: motor.counts()))
 
     def turn(self, joint: int, by_counts: int, rpm: int) -> DriveState:
-        """Turn its motor, slowly and not far; returns once it stands there.
+        """Turn the drive's motor, slowly and not far; returns once it stands at its target.
 
         Raises DialogueFailed once it stands elsewhere, and NotDone for a move that is too far or too fast.
         """
@@ -108,7 +108,10 @@ class Session:
         return self._state(joint, self.have(joint, lambda motor: motor.turn(by_counts, rpm), moves=True))
 
     def _require_range(self, joint: int, by_counts: int) -> None:
-        """No joint gets farther from where a person last put it than the arm file's range, by the file's ratio."""
+        """Raise NotDone if the joint would move farther than its range in the arm file from where a person last put it.
+
+        The range is converted to turns of the motor by the arm file's ratio.
+        """
         config = self.arm.joints[joint]
         here = self.have(joint, lambda motor: motor.counts())
         centre = self._centre.setdefault(joint, here)
@@ -121,19 +124,19 @@ class Session:
             )
 
     def let_go(self, joint: int) -> DriveState:
-        """Make the joint limp; whoever asks has a person hold it."""
+        """Switch the joint's torque off; the caller makes sure that a person holds the joint."""
         self._limp.add(joint)
         return self._state(joint, self.have(joint, lambda motor: motor.let_go()))
 
     def hold(self, joint: int) -> DriveState:
-        """Hold it where it stands."""
+        """Enable the drive, so that it holds the joint where it stands."""
         counts = self.have(joint, lambda motor: motor.hold(), moves=True)
         self._limp.discard(joint)
         self._centre[joint] = counts
         return self._state(joint, counts)
 
     def home(self, joint: int) -> DriveState:
-        """Let the drive run to its stop, from which it then counts."""
+        """Run the drive to its stop, from which it then counts."""
         self.have(joint, lambda motor: motor.require_held())
         talk = Referencing(
             self.arm,
@@ -157,7 +160,7 @@ class Session:
         return self.look(joint)
 
     def close(self) -> None:
-        """Hold again what this session has let go."""
+        """Enable the drives again whose torque this session has switched off."""
         self._pause = self._rest
         for joint in sorted(self._limp):
             self.hold(joint)
@@ -182,7 +185,10 @@ class Session:
     # --- holding conversations
 
     def have(self, joint: int, dialogue: Callable[[Any], Unaddressed[Result]], *, moves: bool = False) -> Result:
-        """What a dialogue ends in; raises DialogueFailed. A drive that moves is stopped by what ends it early."""
+        """Run a dialogue and return its result; raises DialogueFailed.
+
+        `moves`: the drive moves, so it is stopped if the dialogue ends early.
+        """
         talk = self._talk(joint, dialogue)
         with self._stopping(joint) if moves else nullcontext():
             self._hold(talk)
@@ -207,7 +213,7 @@ class Session:
 
     @contextmanager
     def _stopping(self, joint: int) -> Iterator[None]:
-        """A drive that moves meanwhile is stopped by whatever ends this early."""
+        """Stop the drive if an exception ends the context early."""
         try:
             yield
         except BaseException as ended:
@@ -215,7 +221,7 @@ class Session:
             raise
 
     def _stop(self, joint: int, ended: BaseException) -> None:
-        """Make a drive stand whose conversation was ended amid a move; raises DialogueFailed where that is not seen."""
+        """Stop a drive whose dialogue ended during a move; raises DialogueFailed if it is not seen to stand."""
         talk = self._talk(joint, lambda motor: motor.stand())
         while not talk.poll(self._clock_ns()):
             self._rest()

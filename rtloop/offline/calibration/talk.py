@@ -1,4 +1,4 @@
-"""What a calibration says to one drive: the file of the drive's family in this folder has it."""
+"""What a calibration needs of a family of drives; the file of the family in this folder has it."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class Found:
     joint: str
     address: int
     firmware: str
-    """As it tells it, such as 2.0.0; empty where it does not."""
+    """As the drive reports it, such as 2.0.0; empty if it does not."""
     enabled: bool
     homing_rpm: int | None
     problems: list[str]
-    """Why it is not moved, a sentence each."""
+    """Reasons why the drive is not moved, a sentence each."""
 
 
 class State(NamedTuple):
-    """What a drive says of itself."""
+    """What a drive reports about itself."""
 
     enabled: bool
     power_lost: bool
@@ -36,49 +36,49 @@ class State(NamedTuple):
 
 
 class Motor(Protocol):
-    """What is said to one drive; places are in counts of its motor, and every part raises DialogueFailed."""
+    """The dialogues with one drive; positions are in counts of its motor, and every dialogue raises DialogueFailed."""
 
     def addressed(self, dialogue: Unaddressed[Value]) -> Part[Value]:
-        """A dialogue, said to this drive."""
+        """Address a dialogue to this drive."""
 
     def counts(self) -> Unaddressed[int]:
-        """Where the motor stands."""
+        """The motor's position."""
 
     def state(self) -> Unaddressed[State]:
-        """How it is."""
+        """The drive's state."""
 
     def require_held(self) -> Unaddressed[object]:
-        """See that the drive holds the joint and may move it."""
+        """Check that the drive holds the joint and may move it."""
 
     def stand(self) -> Unaddressed[int]:
-        """Stop it, and see that it stands; where."""
+        """Stop the drive, and check that it stands; its position."""
 
     def stand_held(self) -> Unaddressed[int]:
-        """The same of one that must hold its joint."""
+        """The same for a drive that must hold its joint."""
 
     def hold(self) -> Unaddressed[int]:
-        """Enable it, and see that it holds where it stands; where."""
+        """Enable the drive, and check that it holds and stands; its position."""
 
     def let_go(self) -> Unaddressed[int]:
-        """Let its shaft turn freely; where it was then."""
+        """Switch the drive's torque off, so that its shaft turns freely; its position then."""
 
     def turn(self, by_counts: int, rpm: int) -> Unaddressed[int]:
-        """Turn the motor by so many counts and see that it does just that; where it stands then."""
+        """Turn the motor by `by_counts`, and check that it does just that; its position then."""
 
 
 class MotorFile(Protocol):
-    """What a family's file has."""
+    """The functions of a family's file in this folder."""
 
     def motor_of(self, arm: ArmConfig, joint: int, now_ns: Callable[[], int]) -> Motor:
-        """What is said to a joint's drive; `now_ns` tells the time."""
+        """The dialogues with a joint's drive; `now_ns` is the clock."""
 
     def found_of(self, arm: ArmConfig, joint: int, reading: Any, report: DriveReport) -> Found:
         """What a drive is before anything moves, by the reading of its settings."""
 
     def tells_power_loss(self, reading: Any) -> bool:
-        """Whether such a drive says that it has lost power since it was homed."""
+        """Whether such a drive can report that it has lost power since it was homed."""
 
 
 def motors_of(drive: Drive) -> MotorFile:
-    """The file of a family whose motors can be turned."""
+    """The file in this folder of a family whose motors can be turned."""
     return cast(MotorFile, families.file_of("calibration", drive))

@@ -1,8 +1,8 @@
 """Dialogues that turn one ZDT drive's motor slowly by a little, watch it all the way, and stop it at any doubt.
 
 Everything is in counts of the motor (65536 a turn), because neither ratio nor direction of its joint is known yet. A
-move is one absolute `FD` with the drive's own ramp: a frame that is lost or heard twice moves nothing farther, and a
-drive that hears nothing more goes no farther than the end of that one move.
+move is one absolute `FD` with the drive's own ramp. So a frame that is lost or received twice moves nothing farther,
+and a drive that receives nothing more goes no farther than the end of that one move.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from rtloop.offline.settings.zdt_talk import Reading
 from rtloop.service.conversation import TRIES, DialogueFailed, Part, Value, silent_amid
 
 AWAY_COUNTS = ENCODER_COUNTS_PER_REVOLUTION // 36
-"""10° of the motor: a move that is farther than this from where it should be by now is stopped."""
+"""10° of the motor: a motor that is farther than this from where it should be is stopped."""
 ARRIVED_COUNTS = 200
 """About a degree of the motor: a closed loop that holds dithers by less."""
 STILL_COUNTS, STILL_NS = 60, 150_000_000
-"""A motor stands that moves by less than this within that time; at 1 rpm, the slowest move, it would be 164."""
+"""A motor stands if it moves by no more than this within that time; at 1 rpm, the slowest move, it would be 164."""
 LATE_NS = 300_000_000
-"""From a command's question for the bus to the drive's first step, at low control rates."""
+"""Longest time from queuing a command to the drive's first step, at low control rates."""
 STAND_TRIES = 5
 AGREEING = 2
-"""Silences in a row that are one."""
+"""Missing answers in a row that count as silence."""
 SETTLED_NS = 250_000_000
-"""For so long it is seen to be there before it is stopped for good; at 1 rpm it has then made the last degree too."""
+"""Time for which the motor must be at its goal before it is stopped; at 1 rpm it makes the last degree in that time."""
 REFUSED = (0xE2, 0xEE)
 STALLED = 0x04
-"""Flag of `3A`: the motor is held and pushes."""
+"""Flag of `3A`: the motor pushes against something that holds it."""
 
 
 class Drive:
-    """What is said to one drive, as `talk.Motor`; `now_ns` tells the time."""
+    """The dialogues of `talk.Motor` with one drive; `now_ns` is the clock."""
 
     def __init__(self, arm: ArmConfig, joint: int, now_ns: Callable[[], int]) -> None:
         self.joint = joint
@@ -49,13 +49,13 @@ class Drive:
         self.now_ns = now_ns
 
     def addressed(self, dialogue: Answered[Value]) -> Part[Value]:
-        """A dialogue, said to this drive."""
+        """Address a dialogue to this drive."""
         return addressed(self.config.drive.number, dialogue)
 
     # --- reading
 
     def counts(self) -> Answered[int]:
-        """Where the motor stands."""
+        """The motor's position."""
         found = yield from zdt_talk.read_counts(registers.ASK_POSITION)
         if found is None:
             raise self.fails(silent_amid(self.config, "position"))
@@ -69,12 +69,12 @@ class Drive:
         return found
 
     def state(self) -> Answered[State]:
-        """How it is."""
+        """The drive's state."""
         flags = yield from self.flags()
         return State(bool(flags & registers.ENABLED), bool(flags & registers.POWER_LOST))
 
     def require_held(self) -> Answered[int]:
-        """Its flags, once they say that it holds the joint and may move it."""
+        """Check that the drive holds the joint and may move it; its flags."""
         flags = yield from self._require_sound()
         if not flags & registers.ENABLED:
             raise self.fails(f"The drive of {self.config.name} is limp, so it cannot turn: let it hold first.")
@@ -83,7 +83,7 @@ class Drive:
     # --- holding and letting go
 
     def stand(self) -> Answered[int]:
-        """Stop it, and see that it stands; where."""
+        """Stop the drive, and check that it stands; its position."""
         for _ in range(STAND_TRIES):
             began_ns = self.now_ns()
             answer = yield Ask(registers.ASK_POSITION, (7,), before=(registers.STOP,))
@@ -99,15 +99,15 @@ class Drive:
         )
 
     def stand_held(self) -> Answered[int]:
-        """The same of one that must hold its joint."""
+        """The same for a drive that must hold its joint."""
         yield from self.require_held()
         return (yield from self.stand())
 
     def hold(self) -> Answered[int]:
-        """Enable it, and see that it holds where it stands; where."""
+        """Enable the drive, and check that it holds and stands; its position."""
         yield from self._require_sound()
         for _ in range(TRIES):
-            # it may pull its shaft to the target of before it was let go, so the stop follows in the same cycle
+            # it may pull its shaft to its target from before it was disabled, so the stop follows in the same cycle
             flags = yield from zdt_talk.read_flags(registers.ASK_STATUS, before=(registers.ENABLE, registers.STOP))
             if flags is not None and flags & registers.ENABLED:
                 return (yield from self.stand())
@@ -117,7 +117,7 @@ class Drive:
         )
 
     def let_go(self) -> Answered[int]:
-        """Let its shaft turn freely; where it was then."""
+        """Switch the drive's torque off, so that its shaft turns freely; its position then."""
         for _ in range(TRIES):
             flags = yield from zdt_talk.read_flags(registers.ASK_STATUS, before=(registers.RELEASE,))
             if flags is not None and not flags & registers.ENABLED:
@@ -127,9 +127,9 @@ class Drive:
     # --- moving
 
     def turn(self, by_counts: int, rpm: int) -> Answered[int]:
-        """Turn the motor by so many counts and see that it does just that; where it stands then.
+        """Turn the motor by `by_counts`, and check that it does just that; its position then.
 
-        Raises DialogueFailed once it has been stopped again, or could not be.
+        If it does not, raises DialogueFailed once the motor was stopped, or could not be.
         """
         flags = yield from self.require_held()
         start = yield from self.standing_on_target()
@@ -152,25 +152,25 @@ class Drive:
         )
 
     def move_to(self, counts: int, rpm: int, ramp: int) -> tuple[bytes, int]:
-        """The command to go to a count, and the one that this is in whole pulses."""
+        """The command to go to a position (counts), and that position rounded to whole pulses (counts)."""
         pulses = round(counts * self._pulses_per_turn / ENCODER_COUNTS_PER_REVOLUTION)
         goal = round(pulses * ENCODER_COUNTS_PER_REVOLUTION / self._pulses_per_turn)
         return registers.move_to(pulses, rpm, ramp), goal
 
     def _watch(self, start: int, goal: int, rpm: int, sent_ns: int, flags: int) -> Answered[str | None]:
-        """See it arrive; what goes wrong otherwise, after the drive's name."""
+        """Watch the motor until it has arrived; else what went wrong, to follow the drive's name."""
         sign = 1 if goal >= start else -1
         total = abs(goal - start)
         counts_per_ns = rpm / 60e9 * ENCODER_COUNTS_PER_REVOLUTION
         silent = 0
         there_ns: int | None = None
         while there_ns is None or self.now_ns() - there_ns < SETTLED_NS:
-            asked_ns = self.now_ns()  # it has been on its way for at least so long when it answers
+            asked_ns = self.now_ns()  # when the drive answers, it has moved for at least this long
             counts = yield from zdt_talk.read_counts(registers.ASK_POSITION)
             now = yield from zdt_talk.read_flags(registers.ASK_STATUS)
             if counts is None or now is None:
                 silent += 1
-                if silent >= AGREEING:  # each of them asked several times over
+                if silent >= AGREEING:  # each of them was asked several times
                     return "fell silent while it moved"
                 continue
             silent = 0
@@ -201,7 +201,7 @@ class Drive:
         return flags
 
     def standing_on_target(self) -> Answered[int]:
-        """Where it stands, once that is its own target too, so that nothing is left of earlier moves."""
+        """The motor's position once it is the drive's own target too, so that nothing is left of earlier moves."""
         for _ in range(TRIES):
             measured = yield from self.counts()
             target = yield from zdt_talk.read_counts(registers.ASK_TARGET)
@@ -242,7 +242,7 @@ def tells_power_loss(reading: Reading) -> bool:
 
 
 def _not_countable(config: JointConfig, reading: Reading) -> list[str]:
-    """Why a pulse of this drive would not be what the arm file takes it for."""
+    """Why a pulse of this drive would not turn its motor by the angle that the arm file assumes; else empty."""
     block = reading.block
     assert block is not None  # else it is left alone
     expected = config.drive.command_steps_per_revolution

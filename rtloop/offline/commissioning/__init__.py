@@ -1,1 +1,1 @@
-"""A bench test of one drive beside an offline cycle: what it does, beside what its maker's manual says."""
+"""A bench test of one drive while the cycle is offline: what the drive does, compared with its maker's manual."""

@@ -1,9 +1,9 @@
 """`python -m rtloop.offline.commissioning ARM`: a control process that brings nothing up and checks a drive at a time.
 
-Prints `ready {drives}`, then obeys lines on its standard input until that ends: `checks J` (answered by `checks […]`),
-`check J SIGN NAME` (by `found {…}`) and `hold J` (by `state {…}`), with joint numbers from 0. `told …` lines come
-meanwhile. At the end a drive whose checks were asked for must be seen to stand, and to hold its joint if it ever did.
-What is refused, and how it ends, is as of `python -m rtloop.offline.calibration`.
+It prints `ready {drives}` and then obeys lines on its standard input until the input ends: `checks J` (answered by
+`checks […]`), `check J SIGN NAME` (by `found {…}`) and `hold J` (by `state {…}`), with joint numbers from 0. `told …`
+lines come in between. At the end, a drive whose checks were requested must report that it stands, and that it holds its
+joint if it ever did. Refusals and the end are as in `python -m rtloop.offline.calibration`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
-    """Read, say what was read, and obey."""
+    """Read what the drives are, print it, and obey orders."""
 
     def pause_unless_interrupted() -> None:
         pause()
@@ -86,7 +86,7 @@ def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
 
 
 def obey(bench: Bench, words: list[str]) -> tuple[str, Any]:
-    """The word and the content of the answer to an order; raises NotDone for what is none."""
+    """Carry out an order; the word and the content of its answer. Raises NotDone for an unknown order."""
     match words:
         case ["checks", joint]:
             checks = bench.checks(int(joint))

@@ -1,4 +1,4 @@
-"""What a check has found, and the arithmetic of checks whatever the family: pure functions of recorded frames."""
+"""Results of checks, and the arithmetic of checks for all families: pure functions of recorded frames."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from config.joint import JointConfig
 from shm.recording import IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, SENT
 
 LATE_S = 2e-3
-"""Beside its time on the wires: a USB adapter hands over once a millisecond, there and back."""
+"""Allowed delay besides the time on the wires: a USB adapter transfers once a millisecond, in each direction."""
 LEAST_ANSWERS = 10
 LEAST_READINGS = 3
-"""Of a motor that brakes, to tell how hard."""
+"""Readings of a braking motor that it takes to compute its deceleration."""
 RAMP_RANGE = (0.75, 1.33)
-"""Measured ramp beside the one told, from readings that are up to a few milliseconds old."""
+"""Allowed ratio of the measured ramp to the commanded one; readings are up to a few milliseconds old."""
 
 
 class Verdict(StrEnum):
-    """How a check ended."""
+    """Result of a check."""
 
     AS_DOCUMENTED = "as documented"
     DIFFERS = "differs"
@@ -33,7 +33,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One check: what was asked, what the manual says, what came."""
+    """One check: what was asked of the drive, what the manual says, what the drive did."""
 
     check: str
     asked: str
@@ -41,11 +41,11 @@ class Finding:
     came: str
     verdict: Verdict
     figures: dict[str, float] = field(default_factory=dict)
-    """Name with its unit → measured value."""
+    """Measured values by their names, which end in the unit."""
 
     @property
     def good(self) -> bool | None:
-        """Whether it is as documented; None where that was not tried."""
+        """Whether the drive is as documented; None if that was not tried."""
         return None if self.verdict == Verdict.NOT_TRIED else self.verdict == Verdict.AS_DOCUMENTED
 
 
@@ -55,20 +55,20 @@ class Check:
 
     name: str
     explains: str
-    """What it does, and what a person has to see to before."""
+    """What the check does, and what the operator must take care of before."""
     question: str
     ask: Callable[..., list[Finding]]
-    """Of the bench (and a joint's number, where it has several), and 1 or -1 for the way the motor turns."""
+    """A function of the bench, a joint's number, and 1 or -1 for the direction in which the motor turns."""
     moves: bool = False
 
 
 def verdict_of(as_documented: bool) -> Verdict:
-    """Of a check that was tried."""
+    """The verdict of a check that was carried out."""
     return Verdict.AS_DOCUMENTED if as_documented else Verdict.DIFFERS
 
 
 def beyond_limits(joint: JointConfig, here_deg: float, there_deg: float) -> str:
-    """Why a joint is not turned somewhere, a sentence."""
+    """The sentence that says why a joint is not turned to an angle beyond its limits."""
     return (
         f"{joint.name} stands at {here_deg:.1f}° and would turn to {there_deg:.1f}°, beyond its limits "
         f"{joint.lower_deg:g}° to {joint.upper_deg:g}°: turn it the other way (`o`)."
@@ -76,17 +76,17 @@ def beyond_limits(joint: JointConfig, here_deg: float, there_deg: float) -> str:
 
 
 class Said(NamedTuple):
-    """A frame of the recording."""
+    """A recorded frame."""
 
     time_ns: int
     id: int
     data: bytes
     sent: bool
-    """By the host, in the cycle of that time; else it has arrived then."""
+    """True: the host sent it in the cycle of `time_ns`; False: it arrived at `time_ns`."""
 
 
 def frames_of(recorded: np.ndarray) -> list[Said]:
-    """Frames of dtype `shm.layout.BUS_FRAME`."""
+    """Decode recorded frames of dtype `shm.layout.BUS_FRAME`."""
     return [
         Said(
             int(row["monotonic_ns"]),
@@ -101,7 +101,7 @@ def frames_of(recorded: np.ndarray) -> list[Said]:
 def reply_delays_s(
     frames: Sequence[Said], is_question: Callable[[Said], bool], is_answer: Callable[[Said], bool]
 ) -> list[float]:
-    """Time from each question that was answered to its answer; of one that was asked twice, from the second."""
+    """Time (s) from each answered question to its answer; if it was asked twice, from the second time."""
     delays = []
     asked_ns: int | None = None
     for frame in frames:
@@ -114,7 +114,7 @@ def reply_delays_s(
 
 
 def judge_reply_delay(delays_s: Sequence[float], wire_s: float, reckoned_s: float) -> Finding:
-    """Beside `wire_s`, the time that question and answer take on the wires, and what rtarm reckons with."""
+    """Compare delays with `wire_s`, the time of question and answer on the wires, plus rtarm's figure `reckoned_s`."""
     asked = "its position, over and over"
     documented = (
         f"no figure; rtarm reckons with {reckoned_s * 1e3:.1f} ms beside {wire_s * 1e3:.2f} ms on the wires, and "
@@ -136,14 +136,14 @@ def judge_reply_delay(delays_s: Sequence[float], wire_s: float, reckoned_s: floa
 
 
 Samples = NDArray[np.float64]
-"""Rows of time (s) and place (revolutions), both counted from the beginning of a move, the way of the move positive."""
+"""Rows of time (s) and position (revolutions), both from the beginning of a move, positive in its direction."""
 
 
 def braking_rev_s2(samples: Samples, way_rev: float, told_rev_s2: float, speed_rev_s: float) -> float | None:
-    """How hard a motor braked at the end of a move of `way_rev`; None for too few readings.
+    """Deceleration (rev/s²) of a motor at the end of a move of `way_rev`; None if there are too few readings.
 
-    Of the last half of the way in which it should brake: with a constant ramp a the rest of the way is a/2 t² before
-    its end, so the root of the rest falls along a line.
+    It is fitted to the last half of the expected braking distance. With a constant deceleration a, the remaining
+    distance at a time t before the end is a/2 t², so its square root falls along a line.
     """
     rest = way_rev - samples[:, 1]
     brakes = (rest > 1e-4) & (rest <= speed_rev_s**2 / (4.0 * told_rev_s2))

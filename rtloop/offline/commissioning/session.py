@@ -1,4 +1,4 @@
-"""The order of a bench test: one check after another of one drive, each ending in what it has found."""
+"""The session of a bench test: one check after another of one drive, each with its findings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from shm.words import Unreferenced
 
 
 def checks_of(arm: ArmConfig, joint: int) -> list[Check]:
-    """The checks of a joint's drive in their order; raises NotDone for a family without."""
+    """The checks of a joint's drive in their order; raises NotDone for a family without checks."""
     drive = arm.joints[joint].drive
     if not families.knows("commissioning", drive):
         raise NotDone(
@@ -34,14 +34,14 @@ def checks_of(arm: ArmConfig, joint: int) -> list[Check]:
 
 
 def wire_s(arm: ArmConfig, joint: int) -> float:
-    """Time that the question for a joint's position and its answer take on bus and serial line."""
+    """Time (s) that the request for a joint's position and its answer take on bus and serial line."""
     adapter = SERIAL_ADAPTERS.get(arm.bus.interface, SERIAL_ADAPTERS["slcan"])
     frames = arm.joints[joint].drive.readings(arm.bus)
     return sum(one.bits / arm.bus.bitrate + byte_s(arm) * adapter.bytes_of(one) for one in frames)
 
 
 class Bench(Session):
-    """A session in which one drive is checked; `recorded` gives the frames (layout.BUS_FRAME) since it last did."""
+    """A session in which one drive is checked; `recorded` returns the frames (layout.BUS_FRAME) since its last call."""
 
     def __init__(self, *arguments: Any, recorded: Callable[[], np.ndarray], **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -52,7 +52,7 @@ class Bench(Session):
         self.power_proof: PowerProof | None = None
 
     def checks(self, joint: int) -> list[Check]:
-        """The checks of a joint's drive, which is at the bench from now on; raises NotDone for a family without."""
+        """The checks of a joint's drive, which is at the bench from now on; raises NotDone if its family has none."""
         self._at_bench = joint
         return checks_of(self.arm, joint)
 
@@ -67,9 +67,9 @@ class Bench(Session):
             self._have_undisturbed(joint, lambda motor: motor.stand_held() if held else motor.stand())
 
     def check(self, name: str, joint: int, sign: int) -> list[Finding]:
-        """Do one check; what could not be tried is a finding, too.
+        """Carry out one check; a check that could not be tried gives a finding too.
 
-        Raises DialogueFailed where a drive that may move does not say that it stands.
+        Raises DialogueFailed if a drive that may be moving does not report that it stands.
         """
         check = next((check for check in checks_of(self.arm, joint) if check.name == name), None)
         if check is None or sign not in (1, -1):
@@ -85,7 +85,7 @@ class Bench(Session):
         return found
 
     def record(self, joint: int) -> Commissioned:
-        """What the checks so far say that the control process may rely on."""
+        """What the control process may rely on, according to the checks so far."""
         drive = self.arm.joints[joint].drive
         good = {name: finding.good for name, finding in self._findings.items()}
         return Commissioned(
@@ -103,18 +103,21 @@ class Bench(Session):
         )
 
     def frames(self) -> list[Said]:
-        """What was said on the bus since the last look."""
+        """The frames on the bus since the last call."""
         return frames_of(self._recorded())
 
     def say_nothing(self, joint: int, for_ns: int) -> None:
-        """Leave the bus in silence; a drive that moves is stopped by what ends this early."""
+        """Send nothing on the bus for `for_ns`; if an exception ends that early, the drive is stopped."""
         until_ns = self._clock_ns() + for_ns
         with self._stopping(joint):
             while self._clock_ns() < until_ns:
                 self._pause()
 
     def require_room(self, joint: int, by_counts: int) -> None:
-        """Raise DialogueFailed where a joint's angle is known and such a turn of its motor would leave its limits."""
+        """Raise DialogueFailed if turning the motor by `by_counts` would take the joint beyond its limits.
+
+        Nothing is raised if the joint's angle is not known.
+        """
         state, config = self.look(joint), self.arm.joints[joint]
         here_rad, there_rad = (
             counts / self.port.reading_per_rad(joint) - self.port.zero_rad(joint)
@@ -125,14 +128,14 @@ class Bench(Session):
 
     @contextmanager
     def ending_with(self, joint: int, dialogue: Callable[[Any], Unaddressed[object]]) -> Iterator[None]:
-        """A dialogue is had at the end, however that comes about; raises DialogueFailed."""
+        """Run a dialogue at the end of the context, also after an exception; raises DialogueFailed."""
         try:
             yield
         finally:
             self._have_undisturbed(joint, dialogue)
 
     def _have_undisturbed(self, joint: int, dialogue: Callable[[Any], Unaddressed[object]]) -> None:
-        """Have a dialogue that nothing ends early."""
+        """Run a dialogue that no input can end early."""
         pause, self._pause = self._pause, self._rest
         try:
             self.have(joint, dialogue)
@@ -140,9 +143,9 @@ class Bench(Session):
             self._pause = pause
 
     def forget_mark(self, joint: int) -> None:
-        """What the drive has is about to be another one, and its power to be switched off."""
+        """Forget the drive's mark, because it is about to be overwritten, and the drive's power to be switched off."""
         self._marks[joint] = None
 
     def lose(self, joint: int) -> None:
-        """Remember that the drive has lost its power; raises NotSaved."""
+        """Store that the drive has lost its power; raises NotSaved."""
         self._remember(joint, Unreferenced.POWER_LOST)

@@ -1,4 +1,4 @@
-"""The bench test of a ZDT (Emm_V5) drive: its checks in their order, each with what a person is told and asked."""
+"""The bench test of a ZDT (Emm_V5) drive: its checks in their order, with explanation and question for the operator."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from rtloop.offline.commissioning.session import Bench, wire_s
 from rtloop.service.conversation import DialogueFailed
 
 SILENCE_SPARE_NS = 1_000_000_000
-"""Nothing is said for so much longer than the way should take."""
+"""By how much the silence is longer than the move should take."""
 CEASED_LOOKS = 10
 PRESS_SPARE_NS = 2_000_000_000
 PRESS_FREE_NS = 5_000_000_000
-"""So long a motor pushes whose protection is off."""
+"""How long a motor pushes if its protection is off."""
 
 
 def checks_of(arm: ArmConfig, joint: int) -> list[Check]:
-    """The checks, with the figures of this joint's moves."""
+    """The checks of a joint's drive, with the figures of this joint's moves."""
     name, trial = arm.joints[joint].name, talk.trial_of(arm, joint)
     move = (
         f"The motor of {name} turns by {trial.turns * 360.0:.0f}° at {trial.rpm} rpm, the joint by "
@@ -71,7 +71,7 @@ def _version(drive: Drive) -> Answered[Version]:
 
 
 def _of_joint(bench: Bench, joint: int) -> list[Said]:
-    """What was recorded of the joint's drive since the last look."""
+    """The recorded frames to and from the joint's drive since the last call."""
     number = bench.arm.joints[joint].drive.number
     return [frame for frame in bench.frames() if frame.id >> 8 == number]
 
@@ -188,6 +188,6 @@ def _power_cycle(bench: Bench, joint: int, _: int) -> list[Finding]:
     except DialogueFailed as problem:
         if cycle is None:
             raise
-        beside = [checks.not_put_back(problem)]  # what was seen before is kept
+        beside = [checks.not_put_back(problem)]  # the results from before are kept
     bench.power_proof = checks.power_proof(cycle)
     return [checks.judge_power_flag(cycle), checks.judge_volatile(cycle), *beside]

@@ -1,4 +1,4 @@
-"""What a ZDT (Emm_V5) drive does at the bench beside what its manual says (zdt-emm-v5.md): a pure function a check."""
+"""Comparison of what a ZDT (Emm_V5) drive did at the bench with its manual (zdt-emm-v5.md): a pure function a check."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from rtloop.offline.commissioning.finding import (
 from rtloop.offline.commissioning.zdt_talk import PowerCycle, Pressed, Ran, Trial
 
 FIRST_SHARE, RETARGET_SHARE = 0.6, 0.25
-"""Of the trial's way: the first target, and where the drive is told the second one."""
+"""Shares of the trial's distance: the first target, and the position at which the second target is sent."""
 GOES_ON = 0.7
-"""Least speed after the second target beside the commanded one."""
+"""Least speed after the second target, as a share of the expected one."""
 STALL_TIMES = (0.5, 1.5)
 STALL_SPARE_S = 1.0
-"""A stall trips within these shares of its time, and so much more: the push grows with the error."""
+"""A stall must trip within these shares of its time, plus this reserve: the torque grows with the error."""
 
 QUESTIONS: Mapping[str, Ask] = {
     "firmware (1F)": Ask(registers.ASK_FIRMWARE, (4, 6)),
@@ -46,13 +46,13 @@ QUESTIONS: Mapping[str, Ask] = {
     "watchdog (16)": Ask(registers.ASK_WATCHDOG, (6,)),
     "protection (13)": Ask(registers.ASK_TRIP, (8,)),
 }
-"""Every question that rtarm asks, and the lengths of its answer."""
+"""Every question that rtarm asks, with the lengths of its answer."""
 NEWER = ("watchdog (16)", "protection (13)")
-"""What firmware of before answers with `00 EE 6B`."""
+"""Questions that older firmware answers with `00 EE 6B`."""
 
 
 def judge_answers(answers: Mapping[str, bytes | None], address: int) -> Finding:
-    """Answers with packets joined, by the names of `QUESTIONS`."""
+    """Judge `answers`, with packets joined, by the names of `QUESTIONS`; `address` is where the drive answered."""
     version = registers.version_of(answers["firmware (1F)"])
     newer = version is not None and version.newer
     block = registers.block_of(answers["configuration (42)"])
@@ -83,7 +83,7 @@ def _is_answer(ask: Ask, answer: bytes | None) -> bool:
 
 
 def samples_of(frames: Sequence[Said], start: int, way_counts: int) -> Samples:
-    """The positions that came, from where a move began and in its direction."""
+    """The received positions, from where a move began (counts) and positive in its direction."""
     rows = [
         (frame.time_ns, counts)
         for frame in frames
@@ -96,9 +96,9 @@ def samples_of(frames: Sequence[Said], start: int, way_counts: int) -> Samples:
 
 
 def judge_silence(forth: Ran, samples: Samples, trial: Trial, back_rev: float, watchdog_ms: int) -> Finding:
-    """A move of which only its positions were asked, and the way back in complete silence.
+    """Judge a move during which the drive was only asked for positions, and the move back in complete silence.
 
-    `back_rev` is what was left of the way back when the drive was asked again (revolutions).
+    `back_rev` is the distance that was left of the move back when the drive was asked again (revolutions).
     """
     told = trial.ramp_rpm_s
     asked = (
@@ -119,7 +119,7 @@ def judge_silence(forth: Ran, samples: Samples, trial: Trial, back_rev: float, w
         came = "too few readings while it braked: the bus is too slow or too busy for this"
         return Finding("silence", asked, documented, came, Verdict.NOT_TRIED)
     factor = braked * 60.0 / told
-    may_be_left = trial.counts if watchdog_ms else 0  # which stops it on its way
+    may_be_left = trial.counts if watchdog_ms else 0  # the watchdog stops it before its target
     arrived = abs(back_rev) * TURN <= may_be_left + ARRIVED_COUNTS
     came = f"it braked at {braked * 60.0:.0f} rpm/s, {factor:.2f} × the documented ramp, and after the silence stood "
     came += f"{abs(back_rev) * 360.0:.1f}° from its target"
@@ -129,7 +129,7 @@ def judge_silence(forth: Ran, samples: Samples, trial: Trial, back_rev: float, w
 
 
 def judge_retarget(ran: Ran, frames: Sequence[Said], trial: Trial, sign: int) -> Finding:
-    """A farther target while it moves."""
+    """Judge a second, farther target that was sent while the motor moved."""
     asked = f"a target at {FIRST_SHARE:.0%} of the way, and in motion, at {RETARGET_SHARE:.0%}, one at its end"
     documented = "it takes the second target and goes on from the speed it has (old firmware may answer E2)"
     done = sign * (ran.stands - ran.start)
@@ -157,12 +157,12 @@ def judge_retarget(ran: Ran, frames: Sequence[Said], trial: Trial, sign: int) ->
 
 
 def _speed_at(trial: Trial, way_rev: float) -> float:
-    """Speed of its ramp from rest (rpm) after a way."""
+    """Speed (rpm) of the ramp from rest after a distance."""
     return min(float(trial.rpm), (120.0 * trial.ramp_rpm_s * way_rev) ** 0.5)
 
 
 def judge_power_flag(cycle: PowerCycle | None) -> Finding:
-    """Bit 7 of `3A` (yu1745/libzdt, zdt-protocol.md 5.4.4)."""
+    """Judge the flag for lost power, bit 7 of `3A` (yu1745/libzdt, zdt-protocol.md 5.4.4)."""
     asked = "the flag for lost power (bit 7 of 3A), cleared by 50 00, after its power was switched off and on"
     if cycle is None:
         documented = "1 after a loss of power, 0 once cleared"
@@ -179,7 +179,7 @@ def judge_power_flag(cycle: PowerCycle | None) -> Finding:
 
 
 def judge_volatile(cycle: PowerCycle | None) -> Finding:
-    """Settings written with store byte 00."""
+    """Judge whether settings written with store byte 00 were lost with the power."""
     asked = "a homing time-out (4C AE) and a stall time (48 D1) in volatile memory, after its power was switched off"
     documented = "what is not stored is gone with the power"
     if cycle is None:
@@ -194,13 +194,13 @@ def judge_volatile(cycle: PowerCycle | None) -> Finding:
 
 
 def not_put_back(problem: Exception) -> Finding:
-    """What was changed for that was not seen to be as before."""
+    """The finding that the changed settings were not verified to be restored."""
     asked = "both settings put back"
     return Finding("put back", asked, "they are taken, and read so", str(problem), Verdict.NOT_TRIED)
 
 
 def power_proof(cycle: PowerCycle | None) -> PowerProof | None:
-    """How this drive can prove that it has kept its power; None where that was not tried."""
+    """How this drive can prove that it has kept its power; None if that was not tried."""
     if cycle is None:
         return None
     if cycle.firmware.newer and judge_power_flag(cycle).good:
@@ -209,7 +209,7 @@ def power_proof(cycle: PowerCycle | None) -> PowerProof | None:
 
 
 def judge_stall(pressed: Pressed, block: Block) -> Finding:
-    """A motor that pushes against a clamp."""
+    """Judge how a motor behaved that pushed against a clamp."""
     protects = block.stall_mode != 0
     limit_s = block.stall_time_ms * 1e-3
     asked = "a small turn against the clamp"
@@ -234,7 +234,7 @@ def judge_stall(pressed: Pressed, block: Block) -> Finding:
 
 
 def judge_fast_targets(version: Version, problem: str | None) -> Finding:
-    """`problem` is the sentence of `rtloop.drives.zdt_fast_targets`, where it has one."""
+    """Judge the test of FC; `problem` is the sentence of `rtloop.drives.zdt_fast_targets`, None if it passed."""
     asked, documented = "targets of FC, two pulses away, after F1 with mode 01", "they are absolute"
     if version.firmware < registers.FAST_FIRMWARE:
         came = f"firmware {version} has no FC; 2.0.0 or newer has"
@@ -243,7 +243,7 @@ def judge_fast_targets(version: Version, problem: str | None) -> Finding:
 
 
 def judge_reports(version: Version, period_ms: int, problem: str | None, ceased: bool) -> Finding:
-    """`problem` is the sentence of `rtloop.drives.zdt_reports`, where it has one."""
+    """Judge reports; `problem` is the sentence of `rtloop.drives.zdt_reports`, None if they came as they should."""
     asked = f"its position by itself, every {period_ms} ms (11 18), and no more"
     documented = "newer firmware sends it at that rate, and ceases when told"
     if not version.newer:

@@ -1,4 +1,4 @@
-"""What a bench test says to one ZDT (Emm_V5) drive: dialogues, each of which leaves it standing."""
+"""Dialogues of a bench test with one ZDT (Emm_V5) drive; after each of them the drive stands."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from rtloop.service.conversation import silent_amid
 MOST_RPM = 60
 MOST_TURNS = 2.0
 MOST_JOINT_DEG = 15.0
-"""No single move is longer, by the arm file's ratio."""
+"""Longest single move of the joint, by the arm file's ratio."""
 BRAKES_S = 0.3
-"""So long a motor brakes, that enough readings tell how hard; less where the move is too short for that."""
+"""Braking time that gives enough readings to measure the ramp; shorter if the move is too short for it."""
 RAMPS_SHARE = 0.6
-"""Of a move, at most: the rest is at the full speed."""
+"""Largest share of the ramps in a move; the rest is at full speed."""
 FLAGS_EACH = 5
 """Positions that are read for each status."""
 PRESS_COUNTS = TURN // 12
-"""30° of the motor, which is held."""
+"""30° of the motor, by which it is told to turn against its clamp."""
 PRESS_RPM = 5
 SWITCH_PATIENCE_NS = 180_000_000_000
 POSITIONS = 30
@@ -36,7 +36,7 @@ POSITIONS = 30
 
 @dataclass(frozen=True)
 class Trial:
-    """The move with which one motor is tried."""
+    """The move with which a motor is tested."""
 
     counts: int
     rpm: int
@@ -44,22 +44,22 @@ class Trial:
 
     @property
     def ramp_rpm_s(self) -> float:
-        """What the ramp byte means, by the manual."""
+        """The ramp (rpm/s) of the ramp byte, according to the manual."""
         return ramp_rpm_s(self.acc_byte)
 
     @property
     def turns(self) -> float:
-        """Its way (motor revolutions)."""
+        """The length of the move (motor revolutions)."""
         return self.counts / TURN
 
     @property
     def lasts_ns(self) -> int:
-        """From the command to standstill, by the manual, with a ramp to spare."""
+        """Time from the command to standstill, according to the manual, plus the time of one ramp as a reserve."""
         return round((60.0 * self.turns / self.rpm + 2.0 * self.rpm / self.ramp_rpm_s) * 1e9)
 
 
 def trial_of(arm: ArmConfig, joint: int) -> Trial:
-    """A move of the joint that tells its motor's ramp, by a quarter of the joint's range at most."""
+    """A move that allows to measure the motor's ramp, by at most a quarter of the joint's range."""
     config = arm.joints[joint]
     turns = min(
         MOST_TURNS,
@@ -74,7 +74,7 @@ def trial_of(arm: ArmConfig, joint: int) -> Trial:
 
 
 def ask_all(questions: Mapping[str, Ask]) -> Answered[dict[str, bytes | None]]:
-    """What a drive answers to each question, packets joined."""
+    """Ask a drive each question; its answers, packets joined."""
     answers = {}
     for name, ask in questions.items():
         answers[name] = yield ask
@@ -82,7 +82,7 @@ def ask_all(questions: Mapping[str, Ask]) -> Answered[dict[str, bytes | None]]:
 
 
 def ask_positions() -> Answered[int]:
-    """Read its position over and over; how often it answered."""
+    """Read the drive's position POSITIONS times; how often it answered."""
     answered = 0
     for _ in range(POSITIONS):
         answered += (yield from zdt_talk.read_counts(registers.ASK_POSITION)) is not None
@@ -91,18 +91,19 @@ def ask_positions() -> Answered[int]:
 
 @dataclass(frozen=True)
 class Ran:
-    """What came of a move."""
+    """Result of a move (positions in counts)."""
 
     start: int
     stands: int
     problem: str | None
-    """Why it was stopped early, after the drive's name."""
+    """Why the move was stopped early, to follow the drive's name."""
 
 
 def run(drive: Drive, trial: Trial, legs: Sequence[tuple[int, int]]) -> Answered[Ran]:
-    """Send a motor to places (counts from where it stands), to each once it has come as far as stands before it.
+    """Send a motor to targets, one after the other.
 
-    It is watched all the way, stopped at any doubt, and seen to stand.
+    Each leg is the distance after which its target is sent, and the target; both in counts from where the motor stands
+    at first. The motor is watched all the way, stopped at any doubt, and checked to stand.
     """
     yield from drive.require_held()
     start = yield from drive.standing_on_target()
@@ -130,7 +131,7 @@ def run(drive: Drive, trial: Trial, legs: Sequence[tuple[int, int]]) -> Answered
 
 
 def send(drive: Drive, trial: Trial, by_counts: int) -> Answered[int]:
-    """Send a motor on its way and leave it alone; where it began."""
+    """Command a move and do not watch it; the position (counts) where it began."""
     yield from drive.require_held()
     start = yield from drive.standing_on_target()
     yield Ask(drive.move_to(start + by_counts, trial.rpm, trial.acc_byte)[0], (3,), answered=False)
@@ -140,7 +141,7 @@ def send(drive: Drive, trial: Trial, by_counts: int) -> Answered[int]:
 def _held_up() -> Answered[str | None]:
     flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
     if flags is None:
-        return None  # its next positions tell
+        return None  # the next positions will show
     if flags & (registers.PROTECTED | registers.STALLED):
         return "was held up (it says that it stalls)"
     return None if flags & registers.ENABLED else "was let go or lost its power while it moved"
@@ -148,21 +149,24 @@ def _held_up() -> Answered[str | None]:
 
 @dataclass(frozen=True)
 class Pressed:
-    """What came of pushing a shaft that is held."""
+    """Result of pushing against a clamp."""
 
     moved: int
-    """Farthest from where it stood (counts)."""
+    """Largest distance from where the motor stood (counts)."""
     seconds: float
-    """Until the drive said so, or was stopped."""
+    """Time until the drive reported the wanted flags, or was stopped."""
     flags: int
-    """Of `3A`, the last while it pushed."""
+    """The last flags of `3A` while it pushed."""
     cleared: bool
     """Whether a protection that tripped was cleared."""
     problem: str | None
 
 
 def press(drive: Drive, sign: int, patience_ns: int, wanted: int) -> Answered[Pressed]:
-    """Push until the flags have all of `wanted`, the shaft gives way, or time is over; then stand."""
+    """Push until all flags of `wanted` are set, the shaft moves, or `patience_ns` is over; then stop.
+
+    A protection that tripped is cleared, and the drive enabled again.
+    """
     yield from drive.require_held()
     start = yield from drive.standing_on_target()
     command, _ = drive.move_to(start + sign * PRESS_COUNTS, PRESS_RPM, registers.GENTLEST_RAMP)
@@ -192,33 +196,33 @@ def press(drive: Drive, sign: int, patience_ns: int, wanted: int) -> Answered[Pr
 
 @dataclass(frozen=True)
 class PowerCycle:
-    """What a drive said before and after its power was switched off and on; None for what it did not say."""
+    """What a drive reported before and after its power was switched off and on; None for what it did not report."""
 
     firmware: Version
     flag_before: bool | None
-    """Its flag for lost power once it was cleared."""
+    """The flag for lost power after it was cleared."""
     flag_after: bool | None
     flag_cleared: bool | None
     silent_s: float
     counts_before: int
     counts_after: int
     homing_forgotten: bool | None
-    """Whether a homing time-out that was written to volatile memory is gone; None where it was not to be had."""
+    """Whether a homing time-out written to volatile memory is gone; None if it could not be written or read."""
     block_forgotten: bool | None
-    """The same of its configuration block."""
+    """The same for the configuration block."""
 
 
 @dataclass
 class Changed:
-    """What is changed in volatile memory to see it forgotten, noted before it is: what was there, and what comes."""
+    """Changes in volatile memory that a power cycle should undo, noted before they are made: old and new values."""
 
     homing_ms: tuple[int, int] | None = None
     block: tuple[Block, Block] | None = None
 
 
 def put_back(drive: Drive, changed: Changed) -> Answered[None]:
-    """Give a drive that has not forgotten what was there before; raises DialogueFailed where that is not seen."""
-    # one that has forgotten keeps what it has stored: what it had before may be a mark that proves its power
+    """Restore the old values in a drive that has kept the changes; raises DialogueFailed if that cannot be verified."""
+    # a drive that has lost them keeps its stored values: the old ones may be a mark that proves its power
     if changed.homing_ms is not None:
         before_ms, now_ms = changed.homing_ms
         homing = yield from zdt_talk.surely(zdt_talk.read_homing)
@@ -244,9 +248,10 @@ def _not_put_back(drive: Drive) -> str:
 def power_cycle(
     drive: Drive, changed: Changed, tell: Callable[[str], None], lost: Callable[[], None]
 ) -> Answered[PowerCycle | None]:
-    """Watch a person switch its power off and on; None where it was never silent. What is put back is in `changed`.
+    """Watch the drive while a person switches its power off and on; None if it was never silent.
 
-    `lost` remembers that its count means nothing: as soon as that is so, and before any flag is cleared that says it.
+    `changed` receives what must be put back. `lost` stores that the drive's count means nothing; it is called as soon
+    as that is so, and before the flag that shows it is cleared.
     """
     version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
     if version is None:
@@ -276,7 +281,7 @@ def power_cycle(
             raise drive.fails(silent_amid(drive.config, "status"))
     flags = yield from drive.flags()
     if flags & registers.POWER_LOST:
-        lost()  # whether or not it was seen silent
+        lost()  # even if no silence was noticed
     after = yield from drive.counts()
     homing_after = yield from zdt_talk.surely(zdt_talk.read_homing)
     block_after = (yield from zdt_talk.surely(zdt_talk.read_block)) if taken else None
@@ -297,13 +302,16 @@ def power_cycle(
 
 
 def _clear_power_lost() -> Answered[bool | None]:
-    """Clear the flag for lost power; what it is then."""
+    """Clear the flag for lost power; the flag after that, None without an answer."""
     flags = yield from zdt_talk.read_flags(registers.ASK_STATUS, before=(registers.CLEAR_POWER_LOST,))
     return None if flags is None else bool(flags & registers.POWER_LOST)
 
 
 def _wait_for(drive: Drive, *, answers: bool) -> Answered[int | None]:
-    """When (ns) the drive was first heard, or not heard, twice in a row; None after `SWITCH_PATIENCE_NS`."""
+    """Wait until the drive answers (or, with `answers` False, does not answer) AGREEING times in a row.
+
+    Returns the time (ns) of the first of these requests; None after `SWITCH_PATIENCE_NS`.
+    """
     began_ns = drive.now_ns()
     since_ns, agreeing = began_ns, 0
     while agreeing < AGREEING:

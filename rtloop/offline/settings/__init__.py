@@ -1,1 +1,1 @@
-"""A drive's settings: what they are on the wire, what the arm file wants of them, and the conversations about them."""
+"""A drive's settings: their form on the wire, what the arm file wants, and the dialogues that read and write them."""

@@ -1,9 +1,8 @@
-"""`python -m rtloop.offline.settings ARM`: a control process that brings nothing up and talks about settings alone.
+"""`python -m rtloop.offline.settings ARM`: a control process that brings nothing up and only reads and writes settings.
 
-Prints `ready {reports}`, then obeys a line on its standard input, `write` (volatile memory) or `store` (flash too),
-with `told …` for each drive and `written {result}`; it ends when that input does, amid a write with the drive it has
-begun. What it refuses it prints as
-`refused …`. Exit codes as of `python -m rtloop`.
+It prints `ready {reports}` and then obeys one line on its standard input: `write` (volatile memory) or `store` (flash
+too). It answers with `told …` for each drive and `written {result}`. It ends when its input ends; during a write it
+first completes the drive that it has begun. A refusal is printed as `refused …`. Exit codes as of `python -m rtloop`.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def serve(arm: ArmConfig, port: ServicePort, pause: Callable[[], None]) -> None:
-    """Read, say what was read, and obey one order."""
+    """Read the settings, print the reports, and obey one order."""
     session = Session(arm, port, time.monotonic_ns, pause)
     session.read()
     say("ready", reported(session))

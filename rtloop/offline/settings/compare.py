@@ -1,7 +1,7 @@
-"""What the arm file wants of a drive's settings, beside what the drive says.
+"""Comparison of a drive's settings with what the arm file wants.
 
-A setting is wanted only if the arm file (or an override) names it: defaults of the schema are shown, and a drive that
-differs from one is told, but nothing is written that nobody has named.
+A setting is wanted only if the arm file (or an override) names it. Defaults of the schema are shown, and a drive that
+differs from a default is reported, but a setting that is not named is never written.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ Value = int | str | bool | None
 
 
 class Verdict(StrEnum):
-    """How a setting of a drive stands to the arm file."""
+    """Result of comparing a drive's setting with the arm file."""
 
     SAME = "same"
     DIFFERS = "differs"
     NOT_NAMED = "not named"  # by the arm file
-    UNKNOWN = "unknown"  # the drive does not say it
+    UNKNOWN = "unknown"  # the drive does not report it
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ class Setting:
     found: Value
     verdict: Verdict
     writable: bool
-    """Whether `rtarm drives --write` may write it; id, bit rate and checksum are changed in the drive's own menu."""
+    """Whether `rtarm drives --write` may write it; id, bit rate and checksum are changed in the drive's menu only."""
 
 
 @dataclass(frozen=True)
 class DriveReport:
-    """Everything known of one drive."""
+    """Everything that is known of one drive."""
 
     joint: str
     address: int
@@ -48,9 +48,9 @@ class DriveReport:
     trip: dict[str, Any] | None
     settings: list[Setting]
     left_alone: list[str]
-    """Why nothing is written to this drive, a sentence each."""
+    """Reasons why nothing is written to this drive, a sentence each."""
     notes: list[str]
-    """What is worth knowing besides, a sentence each."""
+    """Other remarks, a sentence each."""
 
     @property
     def agrees(self) -> bool:
@@ -72,7 +72,7 @@ def as_json(report: DriveReport) -> dict[str, Any]:
 
 
 def compared(name: str, wanted: Value, found: Value, *, writable: bool = False) -> Setting:
-    """What the arm file wants beside what the drive says, None where it names nothing or the drive says nothing."""
+    """Compare a wanted value (None: not named in the arm file) with a drive's value (None: not reported)."""
     if found is None:
         verdict = Verdict.NOT_NAMED if wanted is None else Verdict.UNKNOWN
     elif wanted is None:

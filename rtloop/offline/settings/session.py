@@ -1,4 +1,4 @@
-"""Reading, and on request writing, the settings of all drives of an arm: the order of the conversations."""
+"""Reading, and on request writing, the settings of all drives of an arm: the sequence of the conversations."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from rtloop.service.port import ServicePort
 
 
 class NotWritten(Exception):
-    """Nothing was written; the text is the sentence people read."""
+    """Nothing was written; the text is the sentence for the operator."""
 
 
 @dataclass
 class Written:
-    """What came of an order to write."""
+    """Result of an order to write."""
 
     joints: list[str]
-    """Those whose drive has what it was told, as it said itself."""
+    """Joints whose drives were read back and have the wanted settings."""
     failure: str | None
-    """What ended it, a sentence; later drives were not written to."""
+    """Why the writing ended early, a sentence; later drives were not written to."""
 
 
 class Session:
-    """All conversations about settings; `pause` lets time pass between two looks at a conversation.
+    """All conversations about settings; `pause` is called between two polls of a conversation.
 
-    `pause` may raise to end it.
+    `pause` lets time pass, and may raise to end the session.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Session:
         self.reports: dict[int, DriveReport] = {}
 
     def read(self) -> None:
-        """Ask every drive; `reports` then compares each with the arm file, by joint."""
+        """Read the settings of every drive; `reports` then holds each comparison with the arm file, by joint."""
         talk = ReadSettings(self._arm, self._port, now_ns=self._clock_ns())
         self._hold(talk)
         self._readings = talk.found
@@ -57,14 +57,15 @@ class Session:
         told: Callable[[str], None] = lambda _: None,
         ends: Callable[[], bool] = lambda: False,
     ) -> Written:
-        """Write what differs, drive by drive, then read everything again; no other drive is begun once it `ends`.
+        """Write the settings that differ, drive by drive, then read everything again.
 
-        What was read before must still be so: raises NotWritten if an arm moves, or its drives have changed meanwhile.
+        No other drive is begun once `ends()` is true. Raises NotWritten if the arm moves, or if what was read from the
+        drives before has changed meanwhile. `told` gets a sentence for each drive that was written.
         """
         before, shown = self._readings, self.reports
         self.read()
         self._require_standing(before)
-        # All fields go back into a drive, and a serial line may garble any of them unseen: whole blocks must agree.
+        # All fields are written back, and a serial line may garble any of them unnoticed: whole blocks must agree.
         if any(
             shown[joint].to_write != report.to_write
             or (report.to_write and not self._readings[joint].is_written_alike(before[joint]))
@@ -111,7 +112,7 @@ class Session:
         for joint, found in self._readings.items():
             if found.shared_address:
                 raise NotWritten(f"{self.reports[joint].left_alone[0]} Until then nothing is written to any drive.")
-            if found.may_move_since(before[joint]):  # one that is silent hears nothing that could move it
+            if found.may_move_since(before[joint]):  # a silent drive receives no command that could move it
                 raise NotWritten(
                     f"{self._arm.joints[joint].name} moves, or does not say that it stands, so nothing was written: "
                     "settings are only written while the whole arm stands."

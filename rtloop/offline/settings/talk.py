@@ -1,7 +1,7 @@
-"""Reading the settings of all drives: a conversation beside a cycle that stays offline.
+"""Reading the settings of all drives: a conversation while the cycle stays offline.
 
-Nothing is brought up, nothing is enabled, no motion frame leaves. What a drive is asked is said in its family's file of
-this folder; drives of a family without one are left alone.
+No drive is brought up or enabled, and no motion frame is sent. The requests are in the file of each family in this
+folder; drives of a family without such a file are left alone.
 """
 
 from __future__ import annotations
@@ -19,41 +19,41 @@ from shm.words import Fault
 
 
 class Reading(Protocol):
-    """What a drive has said of itself."""
+    """What a drive has reported about itself."""
 
     @property
     def shared_address(self) -> bool:
         """Whether more drives than one have answered at this address."""
 
     def note_question(self, question: Question) -> None:
-        """This is asked."""
+        """Take note of a request that is sent."""
 
     def note_frame(self, frame: Frame) -> None:
-        """This has come from the drive, whether it was asked for or not."""
+        """Take note of a frame from the drive, whether or not it was requested."""
 
     def may_move_since(self, before: Any) -> bool:
-        """Whether a drive that answers moves, has moved since another reading, or does not say that it stands."""
+        """Whether a drive that answers is moving, has moved since `before`, or does not report that it stands."""
 
     def is_written_alike(self, before: Any) -> bool:
-        """Whether all that is written back with a setting is as in another reading."""
+        """Whether everything that is written back together with a setting is the same as in `before`."""
 
 
 class SettingsFile(Protocol):
-    """The functions of a family's file."""
+    """The functions of a family's file in this folder."""
 
     def new_reading(self) -> Reading:
-        """The reading of a drive that has said nothing yet."""
+        """An empty reading."""
 
     def read(self, arm: ArmConfig, joint: int, found: Any) -> Dialogue:
-        """Ask a drive for its settings; one that is silent is asked no more."""
+        """Read a drive's settings into `found`; a drive that does not answer is not asked further."""
 
     def report_of(self, arm: ArmConfig, joint: int, found: Any, shared: int | None = None) -> DriveReport:
         """Compare a drive with the arm file; `shared` is a joint whose address has more drives than one."""
 
     def write(self, arm: ArmConfig, joint: int, found: Any, settings: list[Setting], store: bool) -> Part[str | None]:
-        """Write settings, each once, then ask the drive what it has: why it cannot be said that it has them.
+        """Write settings, each once, and read them back; why they are not known to be in effect, None if they are.
 
-        The text follows the drive's name. `store`: in flash, not in volatile memory alone.
+        The text follows the drive's name. `store`: to flash, not to volatile memory only.
         """
 
 
@@ -63,7 +63,7 @@ def settings_of(drive: Drive) -> SettingsFile:
 
 
 class ReadSettings(Conversation):
-    """Every drive of a family with settings is asked for them; what it said stands in `found`, by joint."""
+    """Reads the settings of every drive whose family has a file in this folder, into `found`, by joint."""
 
     def __init__(self, arm: ArmConfig, port: ServicePort, *, now_ns: int) -> None:
         super().__init__(arm, port, now_ns, fault=Fault.BRING_UP)
@@ -80,7 +80,7 @@ class ReadSettings(Conversation):
         super()._say(joint, question)
 
     def _hear(self, frame: Frame) -> None:
-        """Besides what is asked for: signs of a drive that speaks another language, or of two at one address."""
+        """Also look for signs of a drive with another protocol, or of two drives at one address."""
         if frame.joint in self.found:
             self.found[frame.joint].note_frame(frame)
         super()._hear(frame)

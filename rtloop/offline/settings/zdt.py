@@ -1,4 +1,4 @@
-"""The settings of ZDT (Emm_V5) drives beside what the arm file wants; functions of `talk.SettingsFile`."""
+"""Comparison of a ZDT (Emm_V5) drive's settings with the arm file; the functions of `talk.SettingsFile`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ new_reading = Reading
 
 
 def read(arm: ArmConfig, joint: int, found: Reading) -> Dialogue:
-    """Ask a drive for its settings; one that is silent is asked no more."""
+    """Read a drive's settings; see `talk.SettingsFile`."""
     return addressed(arm.joints[joint].drive.number, zdt_talk.read(found))
 
 
@@ -92,7 +92,7 @@ def _named(names: tuple[str, ...], code: int) -> str:
 
 
 def _left_alone(arm: ArmConfig, config: JointConfig, drive: ZdtDrive, found: Reading, shared: int | None) -> list[str]:
-    """Why a drive is not written to: what cannot be understood is not changed."""
+    """Reasons why a drive is not written to: what is not understood is not changed."""
     who = f"The drive of {config.name} (address {drive.address})"
     version, block = found.version, found.block
     if shared is not None and not found.shared_address:
@@ -174,7 +174,7 @@ def _notes(config: JointConfig, found: Reading) -> list[str]:
 
 
 def wanted_block(block: Block, settings: list[Setting]) -> Block:
-    """The block with the wanted values in the place of those that differ."""
+    """The block with the wanted values of `settings` put in."""
     changes: dict[str, int] = {}
     for setting in settings:
         wanted = setting.wanted

@@ -1,4 +1,4 @@
-"""What a ZDT (Emm_V5) drive is asked about its settings, and how they are written: dialogues."""
+"""Dialogues that read and write the settings of a ZDT (Emm_V5) drive."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from rtloop.service.port import Frame
 Value = TypeVar("Value")
 
 REFUSALS = (0xE2, 0xEE)
-"""Condition not met; not understood (zdt-emm-v5.md 2)."""
+"""Refusals: condition not met; not understood (zdt-emm-v5.md 2)."""
 MOST_MISUNDERSTANDINGS = 4 * TRIES
-"""One drive does not understand a question or two that its firmware has not got, each asked `TRIES` times."""
+"""A single drive does not understand a request or two that its firmware lacks, each sent `TRIES` times."""
 STANDS_WITHIN_COUNTS = 200
 """About a degree of the motor: a closed loop that holds dithers by less."""
 READ_BACK_TRIES = 4
-"""A drive that writes its flash may be silent for a while; each try is several questions long."""
+"""A drive that writes its flash may not answer for a while; each of these tries repeats its request several times."""
 
 
 @dataclass
 class Reading:
-    """What a drive has said of itself; None for what it did not say, or has not got."""
+    """What a drive has reported about itself; None for what it did not report, or does not have."""
 
     version: Version | None = None
     block: Block | None = None
@@ -40,9 +40,9 @@ class Reading:
     rpm: int | None = None
     position_counts: int | None = None
     other_checksum: bool = False
-    """Answers came whose last byte was not 6B."""
+    """Whether answers came whose last byte was not 6B."""
     other_block: tuple[int, int] | None = None
-    """Byte count and field count of a configuration block that is not known here."""
+    """Byte count and field count of a configuration block of an unsupported kind."""
     questions: int = field(default=0, repr=False)
     answers: int = field(default=0, repr=False)
     misunderstandings: int = field(default=0, repr=False)
@@ -51,18 +51,18 @@ class Reading:
     def shared_address(self) -> bool:
         """Whether more drives than one have answered at this address.
 
-        Commands and answers share their identifiers, so each of two takes the other's answers for commands it does not
-        understand, and says so, which the other does not understand either: without end.
+        Commands and answers share their identifiers. So each of two drives takes the other's answers for commands that
+        it does not understand, and answers with a refusal, which the other does not understand either: an endless loop.
         """
         return self.answers > self.questions or self.misunderstandings > MOST_MISUNDERSTANDINGS
 
     def note_question(self, question: Question) -> None:
-        """This is asked."""
+        """Count requests for the firmware."""
         if isinstance(question, ZdtQuestion) and question.ask.payload == registers.ASK_FIRMWARE:
             self.questions += 1
 
     def note_frame(self, frame: Frame) -> None:
-        """Look for signs of a drive that speaks another language, or of two at one address."""
+        """Look for signs of a drive with another protocol, or of two drives at one address."""
         if frame.id & 0xFF != 0 or len(frame.data) <= 2:
             return
         data = frame.data
@@ -77,23 +77,23 @@ class Reading:
             self.other_block = data[1], data[2]
 
     def may_move_since(self, before: Reading) -> bool:
-        """Whether a drive that answers moves, has moved since another reading, or does not say that it stands."""
+        """Whether a drive that answers is moving, has moved since `before`, or does not report that it stands."""
         return self.version is not None and (bool(self.rpm) or has_moved(before, self))
 
     def is_written_alike(self, before: Reading) -> bool:
-        """Whether its configuration block, of which all fields go back into it, is as in another reading."""
+        """Whether the configuration block, whose fields are all written back, is the same as in `before`."""
         return self.block == before.block
 
 
 def has_moved(before: Reading, after: Reading) -> bool:
-    """Whether a drive's position has changed between two readings, or cannot be told."""
+    """Whether a drive's position has changed between two readings, or is not known in one of them."""
     if before.position_counts is None or after.position_counts is None:
         return True
     return abs(after.position_counts - before.position_counts) > STANDS_WITHIN_COUNTS
 
 
 def read(found: Reading) -> ZdtDialogue:
-    """Ask a drive for its settings; one that is silent is asked no more."""
+    """Read a drive's settings into `found`; a drive that does not answer is not asked further."""
     found.version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
     if found.version is None:
         return
@@ -110,10 +110,12 @@ def read(found: Reading) -> ZdtDialogue:
 
 
 def write(block: Block | None, watchdog_ms: int | None, store: bool) -> Answered[str | None]:
-    """Tell a drive a new block, a new watchdog, or both, each once, then ask it what it has.
+    """Write a new block, a new watchdog time (ms), or both, each once, and read them back.
 
-    A command that writes is never repeated for want of an answer: flash wears out, and what came of it is read back.
-    Ends in why it cannot be said that the drive has what it was told, after its name; None if it has.
+    A write command is never repeated because its answer is missing: flash wears out, and reading back shows the effect.
+
+    Returns:
+        Why the new values are not known to be in effect, to follow the drive's name; None if they are.
     """
     problem: str | None = None
     if block is not None:
