@@ -172,7 +172,7 @@ def test_the_same_answer_again_changes_nothing(moving: TrialArm) -> None:
         different = [
             name
             for part in known.dtype.names
-            for name in known[part].dtype.names
+            for name in known[part].dtype.names or ()
             if not np.array_equal(
                 known[part][name], known_to_twin[part][name], equal_nan=known[part][name].dtype.kind == "f"
             )
