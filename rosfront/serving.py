@@ -299,8 +299,8 @@ class Serving:
         """Hand a checked goal to the control process, where it replaces an older one.
 
         `action_goal` is its id as an action goal. `arrival` is when it arrived, None for now: checking takes time, and
-        something that arrived later may have begun already (Overtaken). `on_verdict` is called once, later, from the
-        publisher's thread. Raises NotServing, Overtaken.
+        something that arrived later may have begun already (Overtaken). `on_verdict` is called once, later, from
+        another thread. Raises NotServing, Overtaken.
         """
         with self._lock:
             snapshot = self._snapshot()
@@ -324,7 +324,7 @@ class Serving:
     def stream(self, trajectory: object, on_verdict: Callable[[Verdict], None]) -> GoalPlan:
         """Hand a message of `~/joint_trajectory` to the control process; it replaces what runs.
 
-        Returns the plan that follows it. `on_verdict` is called once, later, from the publisher's thread. Raises
+        Returns the plan that follows it. `on_verdict` is called once, later, from another thread. Raises
         GoalRefused.
         """
         arrival = self.arrival()
@@ -346,7 +346,7 @@ class Serving:
     ) -> int:
         """Ask the control process for something; returns the request's number, 0 when it could not be written.
 
-        `on_reply(done, sentence)` is called once: from the publisher's thread when the request is answered and
+        `on_reply(done, sentence)` is called once: from another thread when the request is answered and
         `until(snapshot)` holds, or is refused, or takes longer than `patience_s`; at once when it could not be written.
         """
         with self._lock:

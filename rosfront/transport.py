@@ -1,6 +1,6 @@
 """Our ROS messages go by UDP: a process that dies in the shared memory of Fast DDS makes the others wait for ever.
 
-Before Fast DDS 2.14 sends into a shared-memory port, it waits without timeout for the process that began to make the
+Fast DDS 2.14, before it sends into a shared-memory port, waits without timeout for the process that began to make the
 port, and holds its own lock meanwhile. If that process was killed or found /dev/shm full, every publisher, request and
 heartbeat of the waiting process stands still.
 """

@@ -1,8 +1,8 @@
 """`python -m rtloop ARM [--set section.key=value]...`: the control process of an arm.
 
 Prints `ready` when the arm has been brought up; with `control.init_mode` 0 its homing begins then. Exit codes: 0
-orderly end, 2 the arm could not be brought up or a conversation failed while it was shut down, 3 the cycle ended by
-itself.
+orderly end, 2 refused to start, the arm could not be brought up, or a conversation failed while it was shut down, 3
+the cycle ended by itself or takes no orders.
 """
 
 from rtloop.process.program import STOP_SIGNALS, arm_of, arm_parser, compiled_cycle, say, tell

@@ -111,8 +111,7 @@ class GripperServer:
 
     def _give_up(self, sentence: str) -> None:
         for motion in list(self._motions.values()):
-            motion.given_up.set()
-            motion.on_end(End(Ended.TROUBLE, None, sentence))
+            motion.end(End(Ended.TROUBLE, None, sentence))
 
     # --- what is asked for: the target (rad) and the effort (N·m); raises GoalRefused
 
@@ -198,9 +197,8 @@ class GripperServer:
         ended: Future = Future()
 
         def on_end(end: End) -> None:
-            if not ended.done():
-                ended.set_result(end)
-                self._executor.wake()
+            ended.set_result(end)
+            self._executor.wake()
 
         motion = Motion(target_rad, max_effort, on_end, on_reading)
         key = key or id(motion).to_bytes(8, "little")
@@ -209,7 +207,7 @@ class GripperServer:
         try:
             self.worker.begin(motion)
             if not self.worker.is_alive():
-                on_end(End(Ended.TROUBLE, None, "The ROS process is being stopped."))
+                motion.end(End(Ended.TROUBLE, None, "The ROS process is being stopped."))
             end: End = await ended
         finally:
             self._waiting.discard(ended)

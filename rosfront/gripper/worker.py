@@ -65,7 +65,7 @@ class End:
 
 @dataclass(eq=False)
 class Motion:
-    """A requested motion; `on_reading` is called with readings, `on_end` once with its end, in the gripper's thread."""
+    """A requested motion; `on_reading` is called with readings, in the gripper's thread, `on_end` once with its end."""
 
     target_rad: float | None
     """None: home."""
@@ -76,8 +76,16 @@ class Motion:
     begun_s: float = field(default_factory=time.monotonic)
     until_s: float = math.inf
     canceled_s: float = 0.0
-    given_up: threading.Event = field(default_factory=threading.Event)
-    """Set by another thread, which has called `on_end` because the hook hung."""
+    _told: threading.Lock = field(default_factory=threading.Lock)
+
+    def has_ended(self) -> bool:
+        """Whether its end was told: by the gripper's thread, or by another one because the hook hangs."""
+        return self._told.locked()
+
+    def end(self, end: End) -> None:
+        """Tell its end, from any thread; only the end that is told first counts."""
+        if self._told.acquire(blocking=False):
+            self.on_end(end)
 
 
 @dataclass(frozen=True)
@@ -172,7 +180,7 @@ class GripperWorker(threading.Thread):
         return TROUBLE_PERIOD_S if self._hook is None else RESTING_PERIOD_S
 
     def _begin(self, motion: Motion) -> None:
-        if motion.given_up.is_set():
+        if motion.has_ended():
             return
         self._end(Ended.REPLACED, "A newer command for the gripper has replaced it.")
         self._motion = motion
@@ -193,7 +201,7 @@ class GripperWorker(threading.Thread):
             )
             longest_s = (config.upper_rad - config.lower_rad) / config.speed_rad_s
             motion.until_s = motion.begun_s + LATE_S + 3.0 * longest_s
-            if motion.given_up.is_set():
+            if motion.has_ended():
                 self._motion = None
                 return
             hook.move(motion.target_rad, motion.max_effort)
@@ -284,7 +292,7 @@ class GripperWorker(threading.Thread):
         self._show(reading if known else None, grip, reading.trouble)
         if motion is None:
             return
-        if motion.given_up.is_set():
+        if motion.has_ended():
             self._motion = None
             hook.stop()
             return
@@ -346,7 +354,7 @@ class GripperWorker(threading.Thread):
     def _end(self, how: Ended, sentence: str) -> None:
         motion, self._motion = self._motion, None
         if motion is not None:
-            motion.on_end(End(how, self.shown.reading, sentence))
+            motion.end(End(how, self.shown.reading, sentence))
 
 
 def _words(angle_rad: float) -> str:

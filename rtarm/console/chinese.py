@@ -167,6 +167,7 @@ SENTENCES = {
     "Arm {arm} still moves {seconds:.1f} s after the hold was accepted: use the emergency stop, then look at `rtarm status`.": "暂停已被接受 {seconds:.1f} s，机械臂 {arm} 仍在运动：使用急停，然后看 `rtarm status`。",
     "Arm {arm} stopped on its path and stands; its goal has ended. It takes no goals before `rtarm resume`.": "机械臂 {arm} 已在路径上停下并静止；它的目标已结束。`rtarm resume` 之前它不接受目标。",
     "Arm {arm} stands; no goal was running. It takes no goals before `rtarm resume`.": "机械臂 {arm} 静止；没有目标在执行。`rtarm resume` 之前它不接受目标。",
+    "Arm {arm} was resumed before it stood.": "机械臂 {arm} 在静止之前被恢复了。",
     "Arm {arm} stands and takes no goals before `rtarm resume`.": "机械臂 {arm} 静止，`rtarm resume` 之前不接受目标。",
     "Arm {arm} stands on its path; its goal goes on with `rtarm resume` or ends with `rtarm stop`.": "机械臂 {arm} 在路径上静止；它的目标用 `rtarm resume` 继续，用 `rtarm stop` 结束。",
     "Arm {arm} is not held: goals and streams may begin.": "机械臂 {arm} 没有被暂停：目标和数据流可以开始。",

@@ -468,7 +468,7 @@ def hold(arm: str, language: Language = "en") -> str:
         connection.writer.hold()
         connection.wait_heard(lambda now: bool(now["held"]))
         after = connection.wait(
-            lambda now: _is_over(now) and not np.any(now["joints"]["commanded_velocity_rad_s"]),
+            lambda now: not now["held"] or (_is_over(now) and not np.any(now["joints"]["commanded_velocity_rad_s"])),
             connection.patience.person_s,
             said(
                 language,
@@ -480,6 +480,8 @@ def hold(arm: str, language: Language = "en") -> str:
         )
         if int(after["fault"]) == Fault.HOMING:
             raise Refusal(connection.fault(after))
+    if not after["held"]:
+        raise Refusal(said(language, "Arm {arm} was resumed before it stood.", arm=arm))
     if int(after["goal_phase"]) != Phase.PAUSED:
         return said(language, "Arm {arm} stands and takes no goals before `rtarm resume`.", arm=arm)
     on_its_path = "Arm {arm} stands on its path; its goal goes on with `rtarm resume` or ends with `rtarm stop`."

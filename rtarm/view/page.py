@@ -301,21 +301,22 @@ class Controls:
 
     def _halt(self, what: str, order: Callable[[], str], again: Callable[[], None]) -> None:
         """Every press of Hold and Stop reaches the arm, which may have been resumed since one that still waits."""
-        with self._lock:
-            waits = what in self._under_way
-        if waits:
-            again()
-        else:
-            self._give(what, lambda _: order())
+        self._give(what, lambda _: order(), again)
 
-    def _give(self, what: str, order: Callable[[object], str]) -> None:
-        """Give an order and show its answer, which takes the place of what is said while it is under way."""
+    def _give(self, what: str, order: Callable[[object], str], again: Callable[[], None] = lambda: None) -> None:
+        """Give an order and show its answer, which takes the place of what is said while it is under way.
+
+        While the same order is under way, `again` is called instead.
+        """
         given = object()
         with self._lock:
-            if what in self._under_way:
-                return
-            self._under_way[what] = given
-            self._answered(given, self._words.under_way.format(what=what), True)
+            is_first = what not in self._under_way
+            if is_first:
+                self._under_way[what] = given
+                self._answered(given, self._words.under_way.format(what=what), True)
+        if not is_first:
+            again()
+            return
         sentence, done = self._words.broken.format(what=what), False
         try:
             sentence, done = order(given), True

@@ -147,20 +147,20 @@ class FollowedRecorder:
 class RecordedArm:
     """A recording, played in its own time or slower or quicker."""
 
-    def __init__(self, recording: Recording, replay: Playback) -> None:
-        """`replay` is of that recording."""
+    def __init__(self, recording: Recording, playback: Playback) -> None:
+        """`playback` is of that recording."""
         self.joints = recording.joints
-        self._replay = replay
+        self._playback = playback
         self._records = recording.records
         self._next = 0
 
     def look(self) -> Look:
         """What was to be seen at the time that has been reached."""
-        return self._replay.look()
+        return self._playback.look()
 
     def cycles(self) -> np.ndarray:
         """The cycles that were reached since the last call."""
-        first, self._next = self._next, self._replay.reached()
+        first, self._next = self._next, self._playback.reached()
         oldest_ns = int(self._records["monotonic_ns"][max(self._next - 1, 0)]) - round(SHOWN_S * NS)
         first = max(first, int(np.searchsorted(self._records["monotonic_ns"], oldest_ns)))
         return self._records[first : self._next]
@@ -173,4 +173,4 @@ class RecordedArm:
 
     def close(self) -> None:
         """Nothing is held open."""
-        self._replay.close()
+        self._playback.close()

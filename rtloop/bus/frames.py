@@ -5,7 +5,7 @@ from rtloop.drives import families
 from rtloop.memory import status as status_bits
 from rtloop.memory.modes import is_disabled
 from rtloop.memory.state import Loop, Shared
-from rtloop.memory.transitions import stop_left
+from rtloop.memory.updates import stop_left
 from rtloop.safety import transmission
 from rtloop.service import port, rings
 from rtloop.wire import outgoing, received

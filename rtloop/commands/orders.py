@@ -5,7 +5,7 @@ from rtloop.commands import request_reader, setpoint_reader
 from rtloop.memory.events import record_event
 from rtloop.memory.modes import change_mode
 from rtloop.memory.state import Loop, Shared
-from rtloop.memory.transitions import forget_drive, forget_motion, forget_readings, stand, stood
+from rtloop.memory.updates import forget_drive, forget_motion, forget_readings, stand, stood
 from rtloop.safety import references
 from rtloop.safety.faults import forget_fault, latch_fault
 from rtloop.service import port, rings

@@ -95,8 +95,9 @@ class BringUp(Conversation):
     def _note_who_is_held(self) -> None:
         """Note the position of each joint that its drive holds, so that `_judge` can detect a count that has restarted.
 
-        Bring-up does not move such a joint, so its reading must be the same afterwards. A joint that is limp, tripped
-        or held away from its commanded position may move meanwhile, so its position is not noted.
+        Bring-up does not move such a joint, so its reading must be the same afterwards. A joint that is limp or tripped
+        may move meanwhile: what was noted of it is forgotten. Nothing new is noted of one that is held away from its
+        commanded position, has no reference, or whose drive knows its angle.
         """
         near_rad = self.arm.limits.position_jump_rad / 2.0
         for joint, config in enumerate(self.arm.joints):

@@ -217,7 +217,7 @@ def error_words(code: int) -> str:
 
 
 def interpolation_time(period_s: float) -> tuple[int, int]:
-    """Values of objects 60C2:01 and 60C2:02 for a time: units and their power of ten, the coarsest that is exact."""
+    """Values of objects 60C2:01 and 60C2:02 for a time: units and their power of ten; nearest first, then coarsest."""
     found = (MOST_UNITS, COARSEST_POWER)
     closest = math.inf
     for power in range(COARSEST_POWER, FINEST_POWER - 1, -1):

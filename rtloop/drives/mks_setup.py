@@ -219,8 +219,8 @@ def _stand(host: Host, joint: int) -> Part[bool]:
     before: tuple[bytes, ...] = ()
     standing, was_homing = 0, False
     while standing < AGREEING:
-        answer = yield _ask(can_id, 3, READ_STATE, before=before)
-        state = answer.data[1] if answer is not None else 0
+        answer = yield from answered(joint, config, _ask(can_id, 3, READ_STATE, before=before), "state")
+        state = answer.data[1]
         if state == CALIBRATING:
             raise DialogueFailed(
                 joint,

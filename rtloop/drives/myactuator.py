@@ -78,7 +78,10 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
-    """Ask for the status; every other time for speed and current, unless a motion command of this cycle does so."""
+    """Ask for the status; every other time for speed and current, where no motion command of this cycle does so.
+
+    After a bad status the status alone is asked for, so that the next one tells at once whether to believe it.
+    """
     axis = loop.axes[joint]
     turn = loop.timing.cycle // loop.params.joint_count
     silent = axis.sent.led_cycle != loop.timing.cycle and axis.checks.bad_statuses == 0

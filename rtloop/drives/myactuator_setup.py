@@ -196,7 +196,7 @@ def _proves(up: Uptime | None, mark: str | None) -> bool:
 
 
 def _agreed_uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
-    """The motor's uptime, confirmed by two readings in a row, as one alone may be garbled; None without an answer."""
+    """The motor's uptime, confirmed by two readings in a row, as one alone may be garbled; else None."""
     before = None
     for _ in range(TRIES):
         found = yield from _uptime(host, joint)

@@ -60,10 +60,10 @@ FAULT_MEANINGS = (
     (0x01, status_bits.OVER_TEMPERATURE),
     (0x04, status_bits.UNDER_VOLTAGE),
     (0x08, status_bits.OVER_VOLTAGE),
-    (0x10 | 0x20 | 0x10000, status_bits.OVER_CURRENT),
+    (0x10 | 0x20 | 0x10000, status_bits.OVER_CURRENT),  # of phases B, C and A
     (0x80, status_bits.ENCODER),
 )
-"""Bits of the word that type 21 says."""
+"""Bits of the word that type 21 says, which has an order of its own."""
 
 
 @jit

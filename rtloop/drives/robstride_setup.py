@@ -27,7 +27,7 @@ from rtloop.drives.errors import ErrorBit, error_words
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import answered, let_go, unanswered, without_error, written
 from rtloop.memory import status as status_bits
-from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
+from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
 from rtloop.service.port import Frame
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from shm.words import Unreferenced
@@ -236,18 +236,26 @@ def _aim(joint: int, config: JointConfig, standing: float) -> Part[None]:
     drive = _drive(config)
     wanted = {SPEED_LIMIT: CREEP_RAD_S, POSITION_GAIN: position_gain_1_s(drive), POSITION_TARGET: standing}
     for index, value in wanted.items():
-        for _ in range(TRIES):
-            yield from _said(joint, config, _write(drive, index, value))
-            found = yield from _parameter(joint, config, index, f"parameter {index:X}")
-            has = float(struct.unpack("<f", found)[0])
-            if math.isclose(has, value, rel_tol=ALIKE, abs_tol=ALIKE):
-                break
-        else:
-            raise DialogueFailed(
-                joint,
-                f"The drive of {config.name} does not take {value:.6g} as its parameter {index:X} (it has "
-                f"{has:.6g}): give the joint mode control, or look at its firmware.",
-            )
+        yield from _set(joint, config, index, value)
+
+
+def _set(joint: int, config: JointConfig, index: int, value: float) -> Part[None]:
+    """Write a parameter and read it back; raises DialogueFailed if the motor does not take it."""
+
+    def is_taken(has: float) -> bool:
+        return math.isclose(has, value, rel_tol=ALIKE, abs_tol=ALIKE)
+
+    has = yield from written(
+        lambda: _said(joint, config, _write(_drive(config), index, value)),
+        lambda: _number(joint, config, index, f"parameter {index:X}"),
+        is_taken,
+    )
+    if not is_taken(has):
+        raise DialogueFailed(
+            joint,
+            f"The drive of {config.name} does not take {value:.6g} as its parameter {index:X} (it has {has:.6g}): give "
+            "the joint mode control, or look at its firmware.",
+        )
 
 
 def _enabled(joint: int, config: JointConfig, standing: float) -> Part[State]:
@@ -302,10 +310,7 @@ def _asked_how_it_is(drive: RobstrideDrive) -> Part[State | None]:
 
 def _asked_again(joint: int, config: JointConfig) -> Part[State]:
     """Read the motor's state again; raises DialogueFailed if it no longer answers."""
-    state = yield from _asked_how_it_is(_drive(config))
-    if state is None:
-        raise DialogueFailed(joint, silent_amid(config, "state"))
-    return state
+    return (yield from _said(joint, config, _write(_drive(config), SPEED_TARGET, 0.0)))
 
 
 def _is_feedback(frame: Frame) -> bool:
@@ -327,11 +332,16 @@ def _parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[b
     return bytes((yield from answered(joint, config, AskFrames((request,), is_answer), what)).data[4:])
 
 
+def _number(joint: int, config: JointConfig, index: int, what: str) -> Part[float]:
+    """Read a parameter whose value is a float; raises DialogueFailed."""
+    data = yield from _parameter(joint, config, index, what)
+    return float(struct.unpack("<f", data)[0])
+
+
 def _where_it_stands(joint: int, config: JointConfig) -> Part[float]:
     """Read the angle of the motor's output shaft (rad); raises DialogueFailed."""
     for _ in range(TRIES):
-        data = yield from _parameter(joint, config, POSITION, "position")
-        angle = float(struct.unpack("<f", data)[0])
+        angle = yield from _number(joint, config, POSITION, "position")
         if math.isfinite(angle):
             return angle
     raise DialogueFailed(

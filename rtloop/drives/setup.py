@@ -46,7 +46,7 @@ class Host(Protocol):
     port: ServicePort
     now_ns: int
     clears_protection: bool
-    """Whether a person has requested this bring-up, so that a drive's latched error may be cleared."""
+    """Whether a person has asked that errors be cleared (or drives enabled): a drive's latched error may be."""
     heals: bool
     """Whether this bring-up began without a request (`rtloop.dialogues.healing`), so that no drive may be enabled."""
     marks: Marks

@@ -57,7 +57,7 @@ def without_error(
         error: a state's error in words, "" where it has none.
         cleared: tells the drive to forget its error, and asks for its state.
         called: what the maker calls an error.
-        version: of its firmware, behind the joint's name in the sentences.
+        version: of its firmware, with a blank before it, behind the joint's name in the sentences.
         find: what a person does about one that stays.
         tries: how often it is cleared.
 

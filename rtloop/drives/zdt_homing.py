@@ -107,7 +107,7 @@ def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: in
 
 
 def _require_zero(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDialogue:
-    """Raise DialogueFailed if the drive does not count 0 after its run, or has tripped its protection."""
+    """Raise DialogueFailed if the drive does not count 0 after its run, has tripped its protection or let go."""
     flags = yield from zdt_talk.status_of(joint, config)
     measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
     if flags & registers.PROTECTED or abs(measured) > AT_STOP_RAD * config.encoder_counts_per_rad:
@@ -116,6 +116,12 @@ def _require_zero(host: ReferencingHost, joint: int, config: JointConfig) -> Zdt
             f"The drive of {config.name} counts {measured} after its homing run, not 0, or has tripped its "
             "protection, so it has not found its stop: see that it can reach it and that its homing parameters "
             f"fit, then {host.again}.",
+        )
+    if not flags & registers.ENABLED:
+        raise DialogueFailed(
+            joint,
+            f"The drive of {config.name} is not enabled after its homing run, so it holds nothing: see to its supply "
+            f"and its enable input, then {host.again}.",
         )
 
 

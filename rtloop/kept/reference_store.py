@@ -37,8 +37,8 @@ OUTLIVES_THE_PROCESS = frozenset(
 )
 """Reasons to store: the next process' bring-up might miss them, and clearing a fault does not forgive them either."""
 COUNTS_FROM_NOWHERE = frozenset({Unreferenced.POWER_LOST, Unreferenced.NOT_HOMED})
-"""Reasons for which inspecting the joint cannot confirm its reading; no weaker one replaces
-them until the joint is homed or an operator states its angle."""
+"""Reasons for which inspecting the joint cannot confirm its reading; no weaker one replaces them until the joint is
+homed or an operator states its angle."""
 
 
 class NotSaved(Exception):

@@ -143,7 +143,7 @@ class Reference(Record, writers=("safety.references",)):
 class Sent(Record, writers=("commands.orders", "drives", "safety.references")):
     """What the drive's commands so far leave to the next ones."""
 
-    stop_frames_due: int  # stored by `memory.transitions` alone
+    stop_frames_due: int  # how many times it is still to be told to stop
     rpm_remainder: float
     fast_ready: int  # 1: its speed and ramp for FC are set, and it takes FC as absolute
     fast_offset_rad: float  # by which its targets lie further ahead than they should, so that it is on time

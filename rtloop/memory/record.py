@@ -37,7 +37,7 @@ class Record:
     Attributes:
         dtype: what numpy and the compiled cycle know it as.
         writers: modules and rooms of rtloop whose compiled functions store into its fields, which a test compares with
-            the code. Not among them are its own functions, which stand in `memory`; what is stored at an
+            the code. Not among them are the parts' own functions (`memory.updates`); what is stored at an
             address, as the positions of rings are; and what ordinary Python stores: everything before the first cycle
             (`process.initial_state`), and later that it has taken up what `Dialogue` asks for, that the process is
             `closing`, and the records of `service_in`.

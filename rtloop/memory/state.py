@@ -91,7 +91,7 @@ class LatchedFault(Record, writers=("safety.faults",)):
 
 class Dialogue(
     Record,
-    writers=("commands", "safety.faults"),
+    writers=("commands", "memory.modes", "safety.faults"),
 ):
     """What the main thread is asked to do, and how far it is."""
 
@@ -123,7 +123,7 @@ class History(Record, writers=("cycle",)):
     position_rad: Annotated[Floats, HISTORY_SLOTS * MAX_JOINTS]
 
 
-class Published(Record, writers=("publish",)):
+class Published(Record, writers=("memory.events", "publish")):
     """What of the snapshot stands in the state file as it is, and need not be written again."""
 
     cycle: int
@@ -132,7 +132,7 @@ class Published(Record, writers=("publish",)):
     decisions_crc: int  # of them
 
 
-class Loop(Record, writers=()):
+class Loop(Record, writers=("memory.modes",)):
     """All of it."""
 
     params: Params

@@ -18,6 +18,7 @@ from rtloop.dialogues.healing import Healing
 from rtloop.dialogues.referencing import Referencing, referencing_asked_for
 from rtloop.dialogues.release import Release
 from rtloop.dialogues.shutdown import ShutdownDialogue
+from rtloop.drives.setup import ERROR_AT_START
 from rtloop.kept import commissioned, reference_store
 from rtloop.memory.record import offset_of
 from rtloop.process.compiled import CompiledCycle
@@ -29,6 +30,7 @@ from rtloop.system import realtime
 from rtloop.wire.claim import Claim, claim_for_arm
 from rtloop.wire.refusal import WireRefused
 from sentences.english import HEALED, STILL_QUEUED, WIRE_IS_BACK
+from sentences.told import fault_told
 from shm import files
 from shm.words import Mode, Phase, Unreferenced
 
@@ -129,8 +131,8 @@ class ControlProcess:
         `ready` is called once, after the first bring-up. `clears_protection`: an operator has requested that an error
         which a drive has at the start be cleared.
 
-        Returns the exit code: 0 orderly, 2 a conversation failed at the start or during shutdown, 3 the cycle ended by
-        itself.
+        Returns the exit code: 0 orderly, 2 the arm did not come up, or a conversation failed during shutdown, 3 the
+        cycle ended by itself.
         """
         try:
             self._start_threads()
@@ -444,8 +446,11 @@ class ControlProcess:
                     self._tell(HEALED)
                 healed = healing.succeeded(talk, time.monotonic_ns())
                 talk = self._bring_up(clears_protection=False, heals=True) if healed else None
-            # a fault before the end of the first bring-up, such as a lost wire, becomes the bring-up's failure
-            if first and talk is None and int(self._memory["mode"]) not in (Mode.OFFLINE, Mode.BRINGING_UP):
+            mode = int(self._memory["mode"])
+            if first and talk is None and mode == Mode.FAULT:  # a drive's that was up already while others were not
+                self._tell(f"{self._fault_sentence()} That was before all drives were up, {ERROR_AT_START}.")
+                return 2
+            if first and talk is None and mode not in (Mode.OFFLINE, Mode.BRINGING_UP):
                 self._keep_newly_lost()  # before the counts that a lost reference was found by are removed
                 reference_store.forget_counts(self._arm)
                 self._brought_up = True
@@ -474,6 +479,18 @@ class ControlProcess:
                 if stands or now_s > closing_until_s:
                     return 0
                 time.sleep(BUSY_POLL_S)
+
+    def _fault_sentence(self) -> str:
+        fault = self._memory["fault"]
+        return fault_told(
+            int(fault["code"]),
+            int(fault["joint"]),
+            float(fault["value"]),
+            float(fault["limit"]),
+            int(fault["silent"]),
+            int(fault["evidence"]),
+            [joint.name for joint in self._arm.joints],
+        )
 
     def _run_shutdown_dialogue(self) -> None:
         """Turn off the reports of drives that send positions unasked; until the end the cycle polls them instead."""

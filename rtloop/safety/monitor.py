@@ -5,7 +5,7 @@ from rtloop.memory import status as status_bits
 from rtloop.memory.axis import FAMILY_MOCK, FRESH_READINGS
 from rtloop.memory.modes import is_disabled
 from rtloop.memory.state import Loop, Shared
-from rtloop.memory.transitions import owe_stop
+from rtloop.memory.updates import owe_stop
 from rtloop.safety import silence
 from rtloop.safety.faults import latch_fault
 from rtloop.safety.outlier_filter import filtered_error_rad, filtered_error_rad_s, filtered_error_rad_s2

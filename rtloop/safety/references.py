@@ -3,7 +3,7 @@
 from compilation.jit import jit
 from rtloop.memory.events import record_event
 from rtloop.memory.state import Loop, Shared
-from rtloop.memory.transitions import owe_no_stop, owe_stop
+from rtloop.memory.updates import owe_no_stop, owe_stop
 from rtloop.safety.absolute_encoder import absolute_makes_good
 from shm.words import Event, Unreferenced
 

@@ -9,7 +9,7 @@ from compilation.jit import jit
 from motion import limits
 from rtloop.memory.axis import Commanded
 from rtloop.memory.state import Loop, Shared
-from rtloop.memory.transitions import owe_stop
+from rtloop.memory.updates import owe_stop
 from rtloop.safety.faults import latch_fault, stop_each_joint
 from rtloop.trajectory.limits import band, first_broken, hardest_rad_s2, highest_rad_s
 from shm.words import Fault

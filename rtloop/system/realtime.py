@@ -1,8 +1,8 @@
 """Real-time set-up: requesting it from the system, reading back what was granted, and reporting what was not.
 
 Each step may be refused (no CAP_SYS_NICE, RLIMIT_RTPRIO or RLIMIT_MEMLOCK 0, a container). Policy, priority and CPU may
-also be lost silently, so they are read back; the others are judged by the result of their call. What was not obtained
-is reported in one message, and is fatal only where the arm's configuration requires it.
+also be lost silently, so they are read back; locks on memory are judged by the result of their call. What was not
+obtained is reported in one message, and is fatal only where the arm's configuration requires it.
 """
 
 import contextlib

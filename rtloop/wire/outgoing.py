@@ -12,7 +12,7 @@ from rtloop.memory.frame_words import EXTENDED, REMOTE
 from rtloop.memory.link import CAN_FRAME_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_PYTHON_CAN
 from rtloop.memory.recorder import SENT, marks_of, record_frame
 from rtloop.memory.state import Loop, Shared
-from rtloop.memory.transitions import stop_came_back
+from rtloop.memory.updates import stop_came_back
 from rtloop.wire import can_frame, wires
 from rtloop.wire.can_words import JOINED, STOP
 

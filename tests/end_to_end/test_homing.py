@@ -122,7 +122,9 @@ def test_init_mode_0_homes_the_arm_at_the_start_and_a_service_whenever_it_is_ask
     reader.close()
 
 
-def test_a_ros_process_that_begins_amid_homing_waits_for_its_end_and_goes_to_the_pose(stack):
+def test_a_ros_process_that_begins_amid_homing_waits_for_its_end_and_goes_to_the_pose(stack_at):
+    """Joint1 is 25 s on its way, in which a ROS process begins on a busy machine too."""
+    stack = stack_at((0.0, *NEAR_STOPS_DEG[1:]), "--unhomed")
     stack.change(control={"init_mode": 0}, homing={"then": {"joints_deg": POSE_DEG, "speed_ratio": 1.0}})
     stack.start_loop()
     stack.loop.line_with("joint1: homing")

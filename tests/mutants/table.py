@@ -67,6 +67,11 @@ LEAVES = (
     Leaf("rtloop/wire/at_frames.py", (WIRES, "-k", "ch340-at")),
     Leaf("rtloop/wire/framed.py", (WIRES, "-k", "seeedstudio or ch340-at")),
     Leaf("rtloop/drives/fields.py", ("tests/rtloop/drives/test_words.py", "tests/rtloop/drives/test_golden_frames.py")),
+    Leaf(
+        "rtloop/drives/errors.py",
+        ("tests/rtloop/drives/test_cia402_codec.py", "-k", "common_classes"),
+        ("code_words", "code_meanings"),
+    ),
     Leaf("rtloop/drives/words.py", ("tests/rtloop/drives/test_words.py", "tests/rtloop/drives/test_golden_frames.py")),
     Leaf("rtloop/drives/sdo.py", ("tests/rtloop/drives/test_cia402_codec.py",), ("writing", "value_in", "_asked")),
     drive("zdt"),

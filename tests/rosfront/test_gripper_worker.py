@@ -28,7 +28,7 @@ from rosfront.gripper.hook import GripperTrouble, NotThereYet, Reading
 from rosfront.gripper.own import hook_of, load_class
 from rosfront.gripper.servo import ServoGripper
 from rosfront.gripper.simulated import SimulatedGripper
-from rosfront.gripper.worker import Ended, GripperWorker, Motion
+from rosfront.gripper.worker import End, Ended, GripperWorker, Motion
 from rosfront.program import CannotServe
 from rosfront.refusals import NotServing
 from shm import layout
@@ -246,7 +246,7 @@ def test_a_hook_that_hangs_is_said_and_what_was_given_up_is_never_begun(
     assert (stage.worker.measured(time.monotonic_ns()), stage.worker.shown.grip) == (None, Grip.TROUBLE)
     assert len([line for line in stage.said if "has not returned" in line]) == 1
     motion, _ = stage.begin(0.7)
-    motion.given_up.set()
+    motion.end(End(Ended.TROUBLE, None, "It hangs."))
     stage.hook.pause.clear()
     assert stage.go(0.3).how is Ended.REACHED
     assert [angle for what, angle in stage.hook.asked if what == "move"] == [0.1, 0.3]
@@ -262,14 +262,24 @@ def test_a_motion_given_up_while_its_hook_hung_does_not_go_on(stage: Stage, amid
     motion, ends = stage.begin(0.7)
     if amid == "_look":
         until(lambda: stage.hook.asked, "the motion")
-    motion.given_up.set()
+    motion.end(End(Ended.TROUBLE, None, "It hangs."))
     stage.hook.pause.clear()
     until(lambda: stage.worker._motion is None and stage.worker._works.empty(), "a gripper without a motion")
     stage.hook.grip = None
     assert stage.go(0.0).how is Ended.REACHED
     wanted = [] if amid == "_begin" else [("move", 0.7), ("stop", 0.0)]
     assert stage.hook.asked == [*wanted, ("move", 0.0)]
-    assert ends == [], "whoever gave it up has told of its end"
+    assert [end.sentence for end in ends] == ["It hangs."], "whoever gave it up has told of its end"
+
+
+def test_of_two_who_end_a_motion_the_first_one_is_heard() -> None:
+    ends: list[End] = []
+    motion = Motion(0.7, 0.0, ends.append)
+    assert not motion.has_ended()
+    for sentence in ("It hangs.", "It is there."):
+        motion.end(End(Ended.TROUBLE, None, sentence))
+        assert motion.has_ended()
+    assert [end.sentence for end in ends] == ["It hangs."]
 
 
 def test_a_hook_that_hangs_does_not_hold_up_the_end(stage: Stage) -> None:

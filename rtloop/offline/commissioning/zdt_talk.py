@@ -1,4 +1,4 @@
-"""Dialogues of a bench test with one ZDT (Emm_V5) drive; after each of them the drive stands."""
+"""Dialogues of a bench test with one ZDT (Emm_V5) drive; after each of them but `send` the drive stands."""
 
 from __future__ import annotations
 

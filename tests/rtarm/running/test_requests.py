@@ -74,6 +74,25 @@ def test_a_stop_or_hold_while_an_earlier_one_waits_is_asked_for_as_well(
         before_ns = asked_ns
 
 
+def test_a_hold_from_which_somebody_resumes_the_arm_is_no_alarm(
+    arm: WrittenArm, rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Patience, "person_s", 30.0)
+    moving(arm)
+    publish, looks = arm.publish, 0
+
+    def resume_soon() -> None:
+        nonlocal looks
+        looks += 1
+        arm.snapshot["held"] = looks < 30
+        publish()
+
+    arm.publish = resume_soon  # type: ignore[method-assign]
+    with arm.answering(lambda _arm, _kind: Answer.DONE):
+        result = rtarm("hold", arm.name)
+    assert (result.exit_code, result.stderr) == (1, f"Arm {arm.name} was resumed before it stood.\n")
+
+
 @pytest.mark.parametrize(
     ("held", "phase", "said"),
     [

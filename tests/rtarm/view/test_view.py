@@ -479,6 +479,39 @@ def test_a_goal_whose_sender_was_still_starting_when_stop_was_pressed_is_not_sen
         assert not sent
 
 
+def test_of_presses_at_the_same_moment_each_reaches_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever threads they come in: one is the first, and the others find it under way."""
+    viser = pytest.importorskip("viser")
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        orders = Orders(EPISODE1, ENGLISH)
+        presses = 8
+        others, together = threading.Semaphore(0), threading.Barrier(presses)
+        monkeypatch.setattr(orders, "hold_again", others.release)
+
+        def hold() -> str:
+            for _ in range(presses - 1):
+                assert others.acquire(timeout=30.0)
+            return "The arm stands."
+
+        monkeypatch.setattr(orders, "hold", hold)
+        controls = Controls(server, EPISODE1, orders, ENGLISH, None)
+        [press] = controls._hold._impl.update_cb
+
+        def press_together() -> None:
+            together.wait(30.0)
+            press(None)
+
+        threads = [threading.Thread(target=press_together) for _ in range(presses)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert "The arm stands." in controls._answer.content
+    finally:
+        server.stop()
+
+
 @pytest.mark.parametrize("halt", ["stop", "hold"])
 def test_every_press_of_stop_and_hold_reaches_the_arm_also_while_an_earlier_one_waits(
     halt: str, monkeypatch: pytest.MonkeyPatch

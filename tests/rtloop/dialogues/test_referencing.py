@@ -387,6 +387,22 @@ def test_one_garbled_answer_changes_nothing(after_reads, acknowledge):
     arm.close()
 
 
+def test_a_drive_that_lets_go_at_its_stop_is_not_homed():
+    arm = new_arm((0.0,) * 6)
+    drive = arm.sim.drives[1]
+    found = drive._home_found
+
+    def let_go():
+        found()
+        drive.enabled = False
+
+    drive._home_found = let_go
+    assert arm.ask(Request.HOME, joint_mask=JOINT2) == Answer.DONE
+    assert "is not enabled after its homing run" in str(arm.reference().failure)
+    assert arm.loop[0]["axes"][1]["reference"]["referenced"] == 0
+    arm.close()
+
+
 @pytest.mark.parametrize("power_was_lost", [False, True])
 @pytest.mark.parametrize("at_s", [0.3, 1.0, 1.5])
 def test_a_drive_that_reboots_amid_its_run_is_not_homed(power_was_lost, at_s):

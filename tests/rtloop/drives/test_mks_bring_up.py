@@ -152,6 +152,16 @@ def test_a_drive_on_its_way_is_stopped(command):
     arm.close()
 
 
+def test_a_drive_that_does_not_say_whether_it_stands_does_not_come_up():
+    """It may move: to enable it then would make what it does now what it holds."""
+    arm = arm_of()
+    drive = drives(arm)[1]
+    obey = drive._obey
+    drive._obey = lambda code, arguments: None if code == 0xF1 else obey(code, arguments)
+    assert "state" in failure_of(arm)
+    arm.close()
+
+
 def test_a_homing_run_that_somebody_left_is_ended():
     arm = arm_of((0.0,) * 6)
     arm.cycles(3)

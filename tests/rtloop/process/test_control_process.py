@@ -29,7 +29,7 @@ from config.loader import load_arm
 from rtloop.kept import reference_store
 from rtloop.process import compiled
 from rtloop.process.control_process import ControlProcess, StopAsked
-from rtloop.service.port import ServicePort
+from rtloop.service.port import BRING_UP_DONE, BRING_UP_FAILED, ServicePort
 from rtloop.system import realtime
 from shm.client import StateReader
 from shm.errors import NotRunning
@@ -357,6 +357,22 @@ def test_a_cycle_that_takes_no_orders_ends_the_process_with_a_sentence(deaf_arm,
     assert "The control cycle takes no orders: it has stopped; start rtarm again." in told
     with pytest.raises(NotRunning):
         open_state(deaf_arm.name)
+
+
+def test_a_fault_amid_the_first_bring_up_is_its_failure(mock_arm, monkeypatch):
+    """A drive that is up already may trip while others are brought up, and these all answer."""
+    post, told, ready = ServicePort.post, [], []
+
+    def fault_before_the_end(port: ServicePort, kind: int, **options: object) -> bool:
+        if kind == BRING_UP_DONE:
+            post(port, BRING_UP_FAILED, joint=1, code=Fault.DRIVE_FAULT)
+        return post(port, kind, **options)
+
+    monkeypatch.setattr(ServicePort, "post", fault_before_the_end)
+    process = ControlProcess(load_arm(mock_arm), compiled.load(), told.append, StopAsked([]))
+    assert process.serve(lambda: ready.append(1)) == 2
+    assert "The drive of joint2 reports a fault of its own" in told[-1] and "--clear-fault" in told[-1]
+    assert not ready
 
 
 def test_an_end_amid_the_bring_up_keeps_where_the_joints_stood_before(deaf_arm, monkeypatch, tmp_path):

@@ -1,6 +1,8 @@
 """A sample of the trials of bus faults (many: `make bus-trials`), and answers of every kind in any order."""
 
 from collections.abc import Iterator
+from functools import reduce
+from operator import getitem
 
 import numpy as np
 import pytest
@@ -157,6 +159,13 @@ def test_a_burst_of_old_answers_is_no_jump_and_no_following_error(moving: TrialA
     assert moving.end_of(moving.goal) == Outcome.SUCCEEDED
 
 
+def leaves(dtype: np.dtype, *above: str) -> Iterator[tuple[str, ...]]:
+    """The names that lead to each field of a record that is none itself."""
+    for name in dtype.names or ():
+        field = dtype[name].base
+        yield from leaves(field, *above, name) if field.names else [(*above, name)]
+
+
 def test_the_same_answer_again_changes_nothing(moving: TrialArm) -> None:
     """Its twin hears every answer once: whatever is known of the joints, and every byte to them, is the same.
 
@@ -170,11 +179,11 @@ def test_the_same_answer_again_changes_nothing(moving: TrialArm) -> None:
         twin.cycle()
         known, known_to_twin = moving.loop[0]["axes"], twin.loop[0]["axes"]
         different = [
-            name
-            for part in known.dtype.names
-            for name in known[part].dtype.names or ()
+            path[-1]
+            for path in leaves(known.dtype)
             if not np.array_equal(
-                known[part][name], known_to_twin[part][name], equal_nan=known[part][name].dtype.kind == "f"
+                *(reduce(getitem, path, axes) for axes in (known, known_to_twin)),
+                equal_nan=reduce(getitem, path, known).dtype.kind == "f",
             )
         ]
         assert different == ["reports"]

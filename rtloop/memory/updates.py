@@ -1,4 +1,4 @@
-"""What sets many fields of a part at once, or counts in one: the functions of its own that a part of the memory has."""
+"""A part's own functions: they set many of its fields at once, or count in one, for whoever has cause to."""
 
 import math
 
