@@ -359,7 +359,7 @@ def test_a_cycle_that_takes_no_orders_ends_the_process_with_a_sentence(deaf_arm,
         open_state(deaf_arm.name)
 
 
-def test_a_fault_amid_the_first_bring_up_is_its_failure(mock_arm, monkeypatch):
+def test_a_fault_amid_the_first_bring_up_is_its_failure(mock_arm, unlocked, monkeypatch):
     """A drive that is up already may trip while others are brought up, and these all answer."""
     post, told, ready = ServicePort.post, [], []
 
@@ -369,8 +369,13 @@ def test_a_fault_amid_the_first_bring_up_is_its_failure(mock_arm, monkeypatch):
         return post(port, kind, **options)
 
     monkeypatch.setattr(ServicePort, "post", fault_before_the_end)
-    process = ControlProcess(load_arm(mock_arm), compiled.load(), told.append, StopAsked([]))
-    assert process.serve(lambda: ready.append(1)) == 2
+    stop_asked = StopAsked([])
+
+    def is_ready() -> None:
+        ready.append(1)
+        stop_asked.yes = True
+
+    assert ControlProcess(load_arm(mock_arm.file), compiled.load(), told.append, stop_asked).serve(is_ready) == 2
     assert "The drive of joint2 reports a fault of its own" in told[-1] and "--clear-fault" in told[-1]
     assert not ready
 
