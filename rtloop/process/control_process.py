@@ -447,8 +447,9 @@ class ControlProcess:
                 healed = healing.succeeded(talk, time.monotonic_ns())
                 talk = self._bring_up(clears_protection=False, heals=True) if healed else None
             mode = int(self._memory["mode"])
-            if first and talk is None and mode == Mode.FAULT:  # a drive's that was up already while others were not
-                self._tell(f"{self._fault_sentence()} That was before all drives were up, {ERROR_AT_START}.")
+            if first and talk is None and mode == Mode.FAULT:  # such as a drive's that was up before the others
+                ends = f"Not all drives were up yet, so rtarm ends: see to the cause, {ERROR_AT_START}."
+                self._tell(f"{self._fault_sentence()} {ends}")
                 return 2
             if first and talk is None and mode not in (Mode.OFFLINE, Mode.BRINGING_UP):
                 self._keep_newly_lost()  # before the counts that a lost reference was found by are removed
@@ -482,15 +483,10 @@ class ControlProcess:
 
     def _fault_sentence(self) -> str:
         fault = self._memory["fault"]
-        return fault_told(
-            int(fault["code"]),
-            int(fault["joint"]),
-            float(fault["value"]),
-            float(fault["limit"]),
-            int(fault["silent"]),
-            int(fault["evidence"]),
-            [joint.name for joint in self._arm.joints],
-        )
+        told = (fault[name].item() for name in ("code", "joint", "value", "limit", "silent", "evidence"))
+        code, joint, value, limit, silent, evidence = told
+        names = [joint.name for joint in self._arm.joints]
+        return fault_told(code, joint, value, limit, silent, evidence, names)
 
     def _run_shutdown_dialogue(self) -> None:
         """Turn off the reports of drives that send positions unasked; until the end the cycle polls them instead."""
