@@ -68,6 +68,7 @@ class Clock(Record, writers=("trajectory.arrival", "trajectory.clock", "trajecto
     ramp_s: float  # duration of the running ramp, 0 = steady
     ramp_elapsed_s: float
     ramp_factor: float  # share of the acceleration limits that it may use
+    ramp_judged: int  # its next setpoints that are known to keep the limits
 
 
 class Motion(

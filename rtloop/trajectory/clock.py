@@ -2,7 +2,9 @@
 
 Whatever slows the arm down (cancel, pause, speed scale, starvation …) only lowers the clock's rate, so the arm stays
 on its path. A change of rate is a ramp, chosen once when another rate is wanted: ramps from short to long are sampled
-at a fixed number of instants, and the first that keeps the limits is taken.
+at a fixed number of instants, and the first that keeps the limits is taken. Where the path may bend between those
+instants, setpoints are looked at too. A cycle may not look at all of them: what is left is looked at in the cycles
+that follow, while the ramp runs, and a gentler one begins as soon as a setpoint ahead would break a limit.
 """
 
 import math
@@ -12,7 +14,7 @@ from motion import scaling, stopping
 from motion.stopping import PLAN_SHARE, STOP_FRACTIONS
 from rtloop.memory.motion import BLEND_SAMPLES
 from rtloop.memory.state import Loop
-from rtloop.trajectory.ahead import look_from_here, may_look, next_keeps_limits
+from rtloop.trajectory.ahead import look_from, look_from_here, may_look, next_keeps_limits
 from rtloop.trajectory.path import end_s, find_waypoint, goes_on_past_end, sample
 
 ramp = jit(scaling.ramp)
@@ -23,6 +25,8 @@ IMPOSSIBLE = 1e9
 NO_PATH = 100.0
 BREAKS_A_LIMIT = 10.0
 """Added to the strain of a ramp that the last line of defence would not let pass."""
+UNPROVEN = 1.0
+"""Added to that of one to a higher rate, which can wait, when the cycle may not look at all its setpoints."""
 RESERVE_PERIODS = 3.0
 ROUNDING = 1.0 + 1e-9
 HEADROOM = 0.9
@@ -43,6 +47,7 @@ def advance_clock(loop: Loop) -> None:
     rate, slope, advance_after = ramp(clock.rate_start, clock.slope_start, clock.rate_target, clock.ramp_s, after_s)
     clock.time_s += advance_after - advance_before
     clock.ramp_elapsed_s = after_s
+    clock.ramp_judged = max(clock.ramp_judged - 1, 0)
     clock.rate, clock.slope = rate, slope
     if after_s >= clock.ramp_s:
         clock.time_s += clock.rate_target * (before_s + period_s - after_s)
@@ -101,32 +106,60 @@ def is_rough(loop: Loop, duration_s: float) -> bool:
 
 
 @jit
-def ramp_keeps_limits(loop: Loop, target: float, duration_s: float) -> bool:
-    """Whether the setpoints on a candidate ramp and shortly after it keep the limits.
-
-    When no more may be looked at in this cycle a lower rate is believed to keep them, since a stop cannot wait; a
-    higher one is not.
-    """
+def clock_ahead_s(loop: Loop, target: float, duration_s: float, periods: int) -> float:
+    """Path time so many periods from now, if the rate goes to `target` within a duration and then stays there."""
     clock = loop.clock
-    active = loop.goals.active
-    period_s = loop.params.period_ns * 1e-9
-    waypoint = loop.paths[active].segment
-    look_from_here(loop)
-    for i in range(1, math.ceil(duration_s / period_s) + 2):
-        if not may_look(loop):
-            return bool(target <= clock.rate)
-        past_s = max(i * period_s - duration_s, 0.0)
-        _, _, advance = ramp(clock.rate, clock.slope, target, duration_s, min(i * period_s, duration_s))
-        clock_s = clock.time_s + advance + target * past_s
-        waypoint = find_waypoint(loop, active, clock_s, waypoint)
-        if not next_keeps_limits(loop, active, clock_s, waypoint):
-            return False
-    return True
+    after_s = periods * loop.params.period_ns * 1e-9
+    _, _, advance = ramp(clock.rate, clock.slope, target, duration_s, min(after_s, duration_s))
+    return float(clock.time_s + advance + target * max(after_s - duration_s, 0.0))
 
 
 @jit
-def ramp_duration(loop: Loop, target: float, factor: float) -> tuple[float, float]:
+def setpoints_to_judge(loop: Loop, duration_s: float) -> int:
+    """How many setpoints a ramp decides: those on it, and the one after it, whose differences reach back into it."""
+    return math.ceil(duration_s / (loop.params.period_ns * 1e-9)) + 1
+
+
+@jit
+def setpoints_within_limits(loop: Loop, target: float, duration_s: float, known: int) -> int:
+    """How many setpoints of a ramp from here keep the limits, one after another; the first `known` of them do.
+
+    When that is not all, the next one breaks a limit, or is not looked at: `search.checks_left` is then -1.
+    """
+    active = loop.goals.active
+    waypoint = loop.paths[active].segment
+    look_from_here(loop)
+    if known > 0:
+        clock_s = clock_ahead_s(loop, target, duration_s, known)
+        look_from(loop, active, clock_s, clock_s - clock_ahead_s(loop, target, duration_s, known - 1), waypoint)
+    for i in range(known, setpoints_to_judge(loop, duration_s)):
+        if not may_look(loop):
+            return i
+        clock_s = clock_ahead_s(loop, target, duration_s, i + 1)
+        waypoint = find_waypoint(loop, active, clock_s, waypoint)
+        if not next_keeps_limits(loop, active, clock_s, waypoint):
+            return i
+    return setpoints_to_judge(loop, duration_s)
+
+
+@jit
+def setpoint_strain(loop: Loop, target: float, duration_s: float) -> float:
+    """What the setpoints of a candidate ramp add to its strain: BREAKS_A_LIMIT, UNPROVEN, or nothing.
+
+    When no more may be looked at in this cycle a lower rate is believed to keep the limits, since a stop cannot wait.
+    """
+    if setpoints_within_limits(loop, target, duration_s, 0) >= setpoints_to_judge(loop, duration_s):
+        return 0.0
+    if loop.search.checks_left >= 0:
+        return BREAKS_A_LIMIT
+    return 0.0 if target <= loop.clock.rate else UNPROVEN
+
+
+@jit
+def ramp_duration(loop: Loop, target: float, factor: float, longer_than_s: float = 0.0) -> tuple[float, float]:
     """The shortest candidate in which the rate reaches `target` inside the limits, else the gentlest.
+
+    Of the candidates longer than `longer_than_s`.
 
     `factor` is the share of the acceleration limits that the ramp may use: ORDERLY, or that of an urgent stop.
 
@@ -137,9 +170,11 @@ def ramp_duration(loop: Loop, target: float, factor: float) -> tuple[float, floa
     best_s, best_strain = 0.0, IMPOSSIBLE
     for fraction in STOP_FRACTIONS:
         duration_s = fraction * loop.params.longest_stop_s
+        if duration_s <= longer_than_s:
+            continue
         strain = ramp_strain(loop, target, duration_s, factor)
-        if strain < NO_PATH and is_rough(loop, duration_s) and not ramp_keeps_limits(loop, target, duration_s):
-            strain += BREAKS_A_LIMIT
+        if strain < NO_PATH and is_rough(loop, duration_s):
+            strain += setpoint_strain(loop, target, duration_s)
         if strain <= 1.0:
             return duration_s, strain
         if strain < best_strain:
@@ -148,8 +183,23 @@ def ramp_duration(loop: Loop, target: float, factor: float) -> tuple[float, floa
 
 
 @jit
+def ramp_breaks_a_limit(loop: Loop) -> bool:
+    """Look further along the running ramp: whether a setpoint on it is now known to break a limit."""
+    clock = loop.clock
+    if not is_rough(loop, clock.ramp_s):
+        return False
+    left_s = clock.ramp_s - clock.ramp_elapsed_s
+    if clock.ramp_judged >= setpoints_to_judge(loop, left_s):
+        return False
+    clock.ramp_judged = setpoints_within_limits(loop, clock.rate_target, left_s, clock.ramp_judged)
+    return bool(clock.ramp_judged < setpoints_to_judge(loop, left_s) and loop.search.checks_left >= 0)
+
+
+@jit
 def steer_rate(loop: Loop, target: float, factor: float) -> None:
     """Let the rate go to `target`; a ramp that already goes there runs on, unless a harder one is there sooner.
+
+    One on which a limit would be broken gives way to a gentler one, if there is one on which that is not known.
 
     Turning a ramp round in its steepest part can be impossible, without the clock running backwards or the
     joints being pushed too hard. The running ramp then goes on and the question is asked again in the next
@@ -157,7 +207,14 @@ def steer_rate(loop: Loop, target: float, factor: float) -> None:
     """
     clock = loop.clock
     on_its_way = target == clock.rate_target
-    if on_its_way and (clock.ramp_s <= 0.0 or factor <= clock.ramp_factor):
+    if on_its_way and clock.ramp_s <= 0.0:
+        return
+    if on_its_way and ramp_breaks_a_limit(loop):
+        duration_s, strain = ramp_duration(loop, target, factor, clock.ramp_s)
+        if strain < BREAKS_A_LIMIT:
+            begin_ramp(loop, target, duration_s, factor)
+            return
+    if on_its_way and factor <= clock.ramp_factor:
         return
     duration_s, strain = ramp_duration(loop, target, factor)
     can_wait = target > clock.rate > 0.0 and is_rough(loop, loop.params.longest_stop_s)
@@ -175,7 +232,7 @@ def begin_ramp(loop: Loop, target: float, duration_s: float, factor: float) -> N
     clock.ramp_factor = factor
     clock.rate_target = target
     clock.rate_start, clock.slope_start = clock.rate, clock.slope
-    clock.ramp_s, clock.ramp_elapsed_s = duration_s, 0.0
+    clock.ramp_s, clock.ramp_elapsed_s, clock.ramp_judged = duration_s, 0.0, 0
 
 
 @jit

@@ -213,6 +213,9 @@ def test_hostile_messages_of_a_stream_are_refused_or_followed(seed: int, rate_hz
 @example(2575, 200.0, "hold")  # the ramp that resumes it hits a phase at which two setpoints are too far apart
 @example(2852, 50.0, "hold")
 @example(3175, 200.0, "hold")  # before it has begun
+@example(1112583, 500.0, "cancel")  # a cycle cannot look at all setpoints of the stop
+@example(498, 500.0, "hold")
+@example(571, 500.0, "hold")
 def test_what_the_front_just_accepts_is_followed_whatever_the_clock_does(seed: int, rate_hz: float, who: str) -> None:
     edge = Edge(seed, rate_hz)
     arm = edge.hostile.arm
