@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from arm_files import edited
 from at_terminal import CTRL_C, PATIENCE_S, Terminal, rtarm_at_terminal
-from stack import Stack, run_rtarm
+from stack import PATIENT, Stack, run_rtarm
 from waiting import until
 
 from config.loader import load_arm
@@ -175,6 +175,7 @@ def led(arm_name: str, tmp_path: Path) -> Iterator[Stack]:
     stack = Stack(arm_name, tmp_path, "damiao6", start_deg=(0.0, 10.0, 0.0, 0.0, 0.0, 0.0))
     with edited(stack.arm_file) as values:
         values["joints"][1]["drive"]["encoder"] = "incremental"
+        values.setdefault("limits", {})["front_timeout_s"] = PATIENT["front_timeout_s"]
     stack.start_sim()
     yield stack
     stack.close()
