@@ -5,14 +5,14 @@ import pytest
 from virtual import VirtualArm
 
 from compilation.jit import jit
-from rtloop.memory.record import offset_of
 from shm import layout
+from shm.record import offset_of
 from shm.seqlock import read
 
 READS = 10_000
-SEQUENCE = offset_of(layout.STATE, "snapshot_sequence")
-SNAPSHOT = offset_of(layout.STATE, "snapshot")
-CYCLE = offset_of(layout.SNAPSHOT, "cycle")
+SEQUENCE = offset_of(layout.State, "snapshot_sequence")
+SNAPSHOT = offset_of(layout.State, "snapshot")
+CYCLE = offset_of(layout.Snapshot, "cycle")
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def read_many(sequence: int, source: int, target: int, words: int, reads: int) -
 
 
 def test_compiled_read(benchmark, holding, report):
-    words = layout.used_bytes(layout.SNAPSHOT, 6) // 8
+    words = layout.used_bytes(layout.Snapshot, 6) // 8
     target = np.zeros(words, np.int64)
     state = holding.state.address
     arguments = (state + SEQUENCE, state + SNAPSHOT, target.ctypes.data, words, READS)

@@ -11,13 +11,13 @@ from live import NS, LiveStack
 from compilation.jit import jit
 from config.loader import load_arm
 from config.schema import RealtimeConfig
-from rtloop.memory.record import offset_of
 from rtloop.process.initial_state import new_loop
 from rtloop.process.run import monotonic_ns
 from rtloop.system import realtime
 from rtloop.system.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep
 from shm import layout, seqlock
 from shm.atomics import load_acquire, store_relaxed
+from shm.record import offset_of
 
 PRIORITY = 60
 """Below the cycle and its reader, above the simulated drives: it may hold those up for the moments it looks."""
@@ -36,8 +36,8 @@ ROW = np.dtype(
     ]
 )
 
-_SEQUENCE = offset_of(layout.STATE, "snapshot_sequence")
-_SNAPSHOT = offset_of(layout.STATE, "snapshot")
+_SEQUENCE = offset_of(layout.State, "snapshot_sequence")
+_SNAPSHOT = offset_of(layout.State, "snapshot")
 
 
 @jit
@@ -88,14 +88,14 @@ class Watcher:
     def __init__(self, stack: LiveStack, cycles: int) -> None:
         memory, arm = stack.reader.memory, load_arm(stack.arm_file)
         count = len(arm.joints)
-        self._snapshot = np.zeros(1, layout.SNAPSHOT)
+        self._snapshot = np.zeros(1, layout.Snapshot.dtype)
         self._rows = np.zeros(cycles, ROW)
         self._clock = np.zeros(2, np.int64)
         self._arguments = (
             memory.address,
             self._snapshot[0],
             self._snapshot.ctypes.data,
-            layout.used_bytes(layout.SNAPSHOT, count) // 8,
+            layout.used_bytes(layout.Snapshot, count) // 8,
             new_loop(arm, 0, 0)[0]["joints"]["reply_delay_ns"][:count].copy(),
         )
         watch(*self._arguments, self._rows[:1], arm.control.period_ns, self._clock.ctypes.data)  # compiles it

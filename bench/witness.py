@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from compilation.jit import jit
-from rtloop.memory.record import offset_of
 from rtloop.process.run import monotonic_ns
 from rtloop.system import realtime
 from rtloop.system.libc import CLOCK_MONOTONIC, TIMER_ABSTIME, clock_nanosleep
 from shm import layout
 from shm.atomics import load_relaxed, store_relaxed
+from shm.record import offset_of
 
 MISSED = np.dtype(
     [
@@ -37,7 +37,7 @@ MISSED = np.dtype(
 )
 MOST = 100_000
 
-_OVERRUNS = offset_of(layout.STATE, "counters", "overruns")
+_OVERRUNS = offset_of(layout.State, "counters", "overruns")
 
 
 @jit
@@ -77,7 +77,7 @@ def main(arguments: list[str]) -> None:
     path, priority, cpu, period_ns, phase_ns, seconds, file = arguments
     with open(path, "rb") as opened:
         mapped = mmap.mmap(opened.fileno(), 0, prot=mmap.PROT_READ)
-    state = np.frombuffer(mapped, layout.STATE, 1)
+    state = np.frombuffer(mapped, layout.State.dtype, 1)
     missed, late = np.ones(MOST, MISSED), np.ones((MOST, 2), np.int64)  # ones, so that their pages are there
     timespec = np.zeros(2, np.int64)
     rest = (state.ctypes.data, timespec.ctypes.data, int(period_ns), int(phase_ns))

@@ -10,10 +10,11 @@ import numpy as np
 
 from handbook.markdown import code, page, table
 from shm import layout, words
+from shm.record import Record, offset_of
 
 FILES = {
-    "state": (layout.STATE, "the control process"),
-    "command": (layout.COMMAND, "the ROS process; requests also whoever holds the producers' lock"),
+    "state": (layout.State, "the control process"),
+    "command": (layout.Command, "the ROS process; requests also whoever holds the producers' lock"),
 }
 TYPES = {"i8": "int64", "f8": "float64", "u1": "uint8"}
 INTRODUCTION = f"""\
@@ -28,8 +29,8 @@ misled, [architecture](../explanation/architecture.md) what the files are for.""
 def build() -> str:
     """The page."""
     parts = [INTRODUCTION]
-    for name, record in records().items():
-        parts += [f"## {name[0].upper()}{name[1:]}", written_by(record), table(HEADS, rows(name, record))]
+    for record in layout.TABLES:
+        parts += [f"## {title(record)}", written_by(record), table(HEADS, rows(record))]
     parts.append("## Numbers by name")
     for kind in enumerations():
         parts += [
@@ -43,21 +44,16 @@ def build() -> str:
 HEADS = ("word", "type", "offset", "unit", "meaning")
 
 
-def records() -> dict[str, np.dtype]:
-    """Every record by the name of its table."""
-    named = {tuple(word.name for word in found): name for name, found in layout.TABLES.items()}
-    kinds = [value for _, value in getmembers(layout) if isinstance(value, np.dtype)]
-    by_name = {named[kind.names]: kind for kind in kinds if kind.names in named}
-    return {name: by_name[name] for name in layout.TABLES}
+def title(record: type[Record]) -> str:
+    """A table's name."""
+    return (getdoc(record) or "").split("\n")[0].removesuffix(".")
 
 
-def rows(name: str, record: np.dtype) -> Iterator[tuple[str, ...]]:
+def rows(record: type[Record]) -> Iterator[tuple[str, ...]]:
     """A row a word; padding has no meaning and is left out."""
-    assert record.fields is not None
-    for word in layout.TABLES[name]:
-        if word.name not in {"padding", "reserved"}:
-            kind, offset = record.fields[word.name][:2]
-            yield code(word.name), type_of(kind), str(offset), word.unit, word.meaning
+    for name, word in record.words.items():
+        if name not in {"padding", "reserved"}:
+            yield code(name), type_of(record.dtype[name]), str(offset_of(record, name)), *word
 
 
 def type_of(kind: np.dtype) -> str:
@@ -65,18 +61,18 @@ def type_of(kind: np.dtype) -> str:
     many = "".join(f" × {count}" for count in kind.shape)
     if kind.base.names is None:
         return TYPES[kind.base.str[1:]] + many
-    names = {value: name for name, value in records().items()}
-    return names[kind.base] + many
+    name = next(title(record) for record in layout.TABLES if record.dtype == kind.base)
+    return name[0].lower() + name[1:] + many
 
 
-def written_by(record: np.dtype) -> str:
+def written_by(record: type[Record]) -> str:
     """Who writes a record, by the file that holds it."""
-    writers = [who for kind, who in FILES.values() if record is kind or holds(kind, record)]
-    if record in (layout.RECORD, layout.BUS_FRAME):
+    writers = [who for file, who in FILES.values() if record is file or holds(file.dtype, record.dtype)]
+    if record in (layout.CycleRecord, layout.BusFrame):
         writers = [FILES["state"][1]]
-    if record == layout.BEGIN:
+    if record is layout.Begin:
         writers = [FILES["command"][1]]
-    return f"Written by {', or '.join(writers)}; {record.itemsize} bytes."
+    return f"Written by {', or '.join(writers)}; {record.dtype.itemsize} bytes."
 
 
 def holds(outer: np.dtype, record: np.dtype) -> bool:

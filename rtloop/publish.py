@@ -3,20 +3,21 @@
 import math
 
 from compilation.jit import jit
-from rtloop.memory.record import offset_of
 from rtloop.memory.recorder import record_cycle
-from rtloop.memory.state import LOOP, Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.trajectory.path import end_s
 from rtloop.trajectory.phases import incoming, running_goal, runs
 from shm import layout
+from shm.layout import State
+from shm.record import offset_of
 from shm.seqlock import crc32_at, publish
 
-_SNAPSHOT = offset_of(LOOP, "snapshot")
-_DECISION_WORDS = offset_of(layout.SNAPSHOT, "cycle") // 8 - 1  # results and answers, behind the CRC
-_SNAPSHOT_HEAD_WORDS = offset_of(layout.SNAPSHOT, "joints") // 8
-_SNAPSHOT_JOINT_WORDS = layout.JOINT.itemsize // 8
-_SHARED_SEQUENCE = offset_of(layout.STATE, "snapshot_sequence")
-_SHARED_SNAPSHOT = offset_of(layout.STATE, "snapshot")
+_SNAPSHOT = offset_of(Loop, "snapshot")
+_DECISION_WORDS = offset_of(layout.Snapshot, "cycle") // 8 - 1  # results and answers, behind the CRC
+_SNAPSHOT_HEAD_WORDS = offset_of(layout.Snapshot, "joints") // 8
+_SNAPSHOT_JOINT_WORDS = layout.Joint.dtype.itemsize // 8
+_SHARED_SEQUENCE = offset_of(layout.State, "snapshot_sequence")
+_SHARED_SNAPSHOT = offset_of(layout.State, "snapshot")
 
 
 @jit
@@ -26,7 +27,7 @@ def phase_of(loop: Loop) -> int:
 
 
 @jit
-def publish_snapshot(loop: Loop, shared: Shared) -> None:
+def publish_snapshot(loop: Loop, shared: State) -> None:
     """Publish the snapshot."""
     published, timing, fault, clock = loop.published, loop.timing, loop.fault, loop.clock
     operator, params, snapshot = loop.operator, loop.params, loop.snapshot

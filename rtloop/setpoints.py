@@ -6,13 +6,14 @@ from compilation.jit import jit
 from rtloop.commands.orders import sync_setpoint
 from rtloop.memory.axis import FAMILY_MOCK
 from rtloop.memory.modes import is_disabled
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.safety import setpoint_check
 from rtloop.safety.faults import path_is_trusted, stop_each_joint
 from rtloop.trajectory.clock import advance_clock, along
 from rtloop.trajectory.limits import clamped_rad, hardest_rad_s2
 from rtloop.trajectory.path import find_waypoint, sample
 from rtloop.trajectory.phases import runs
+from shm.layout import State
 from shm.words import Unreferenced
 
 STILL_SHARE = 0.002
@@ -21,7 +22,7 @@ STILL_COUNTS = 3.0
 
 
 @jit
-def move(loop: Loop, shared: Shared) -> None:
+def move(loop: Loop, shared: State) -> None:
     """Make the next setpoint; one that breaks a limit is replaced by braking from the present one."""
     motion = loop.motion
     if motion.resync_ns != 0:

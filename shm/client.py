@@ -15,6 +15,7 @@ import numpy as np
 from shm import layout
 from shm.errors import RingFull, TornRead
 from shm.files import MemoryFile, producers_lock
+from shm.record import offset_of
 from shm.words import Request, Setpoint
 
 READ_TRIES = 1000
@@ -22,19 +23,19 @@ MOST_WRITTEN = 1 << 62
 GOALS_AHEAD = 1_000_000
 """Goal ids rise by one; a word that is this far ahead of all others was not written by a front."""
 
-_SNAPSHOT_AT = layout.STATE.fields["snapshot"][1]  # type: ignore[index]
-_SEQUENCE_AT = layout.STATE.fields["snapshot_sequence"][1] // 8  # type: ignore[index]
-_CONSUMED_AT = layout.STATE.fields["consumed"][1] // 8  # type: ignore[index]
-_REQUESTS_CONSUMED_AT = _CONSUMED_AT + layout.CONSUMED.fields["requests"][1] // 8  # type: ignore[index]
+_SNAPSHOT_AT = offset_of(layout.State, "snapshot")
+_SEQUENCE_AT = offset_of(layout.State, "snapshot_sequence") // 8
+_SETPOINTS_CONSUMED_AT = offset_of(layout.State, "consumed", "setpoints") // 8
+_REQUESTS_CONSUMED_AT = offset_of(layout.State, "consumed", "requests") // 8
 _COMMAND_WORD = {
-    name: layout.COMMAND.fields[name][1] // 8  # type: ignore[index]
+    name: offset_of(layout.Command, name) // 8
     for name in (
         *("heartbeat_ns", "announced_goal", "setpoints_written", "requests_written"),
         *("stop_ns", "hold_ns", "resume_ns", "speed_scale", "canceled_through", "canceled_goals"),
     )
 }
-_REQUESTS_AT = layout.COMMAND.fields["requests"][1]  # type: ignore[index]
-_SETPOINTS_AT = layout.COMMAND.fields["setpoints"][1]  # type: ignore[index]
+_REQUESTS_AT = offset_of(layout.Command, "requests")
+_SETPOINTS_AT = offset_of(layout.Command, "setpoints")
 _BEGIN_HEAD = struct.Struct("<qqqqqqdqq")
 _WAYPOINT_HEAD = struct.Struct("<qqqqqqqqq")
 _REQUEST = struct.Struct("<qqqdqqqd")
@@ -48,7 +49,7 @@ class StateReader:
         self.joint_count = int(memory.record["header"]["joint_count"])
         self._bytes = memoryview(memory.map)
         self._words = self._bytes.cast("q")
-        self._end = _SNAPSHOT_AT + layout.used_bytes(layout.SNAPSHOT, self.joint_count)
+        self._end = _SNAPSHOT_AT + layout.used_bytes(layout.Snapshot, self.joint_count)
 
     def snapshot(self) -> np.ndarray:
         """The newest complete snapshot as a record of its own (joints beyond `joint_count` are zero).
@@ -63,9 +64,9 @@ class StateReader:
                 if self._words[_SEQUENCE_AT] == before:
                     crc = int.from_bytes(copy[:8], "little")
                     if crc == zlib.crc32(memoryview(copy)[8:]):
-                        full = bytearray(layout.SNAPSHOT.itemsize)
+                        full = bytearray(layout.Snapshot.dtype.itemsize)
                         full[: len(copy)] = copy
-                        return np.ndarray((), layout.SNAPSHOT, full)
+                        return np.ndarray((), layout.Snapshot.dtype, full)
             if attempt > 10:
                 time.sleep(0)
         raise TornRead(
@@ -76,7 +77,7 @@ class StateReader:
         )
 
     def setpoints_consumed(self) -> int:
-        return self._words[_CONSUMED_AT]
+        return self._words[_SETPOINTS_CONSUMED_AT]
 
     def requests_consumed(self) -> int:
         return self._words[_REQUESTS_CONSUMED_AT]
@@ -157,7 +158,7 @@ class CommandWriter:
         if not 0 <= written - consumed < layout.SETPOINT_SLOTS - 1:  # below 0 somebody else has written there
             raise RingFull(f"{written - consumed} records wait in the ring of {layout.SETPOINT_SLOTS}.")
         body = head[8:] + joints
-        at = _SETPOINTS_AT + (written % layout.SETPOINT_SLOTS) * layout.SETPOINT.itemsize
+        at = _SETPOINTS_AT + (written % layout.SETPOINT_SLOTS) * layout.Setpoint.dtype.itemsize
         self._bytes[at : at + 8 + len(body)] = zlib.crc32(body).to_bytes(8, "little") + body
         self._words[_COMMAND_WORD["setpoints_written"]] = written + 1
 
@@ -220,7 +221,7 @@ class CommandWriter:
                     waiting=written - consumed,
                 )
             packed = _REQUEST.pack(0, written + 1, kind, value, time.monotonic_ns(), joint_mask, epoch, effort)
-            at = _REQUESTS_AT + (written % layout.REQUEST_SLOTS) * layout.REQUEST.itemsize
+            at = _REQUESTS_AT + (written % layout.REQUEST_SLOTS) * layout.Request.dtype.itemsize
             crc = zlib.crc32(packed[8:]).to_bytes(8, "little")
             self._bytes[at : at + len(packed)] = crc + packed[8:]
             self._words[_COMMAND_WORD["requests_written"]] = written + 1

@@ -9,15 +9,16 @@ import numpy as np
 
 from shm import layout
 from shm.files import MemoryFile
+from shm.record import offset_of
 
 READ_TRIES = 5
-_AT = layout.STATE.fields["gripper"][1]  # type: ignore[index]
+_AT = offset_of(layout.State, "gripper")
 
 
 def show_gripper(state: np.ndarray, values: np.ndarray) -> None:
-    """Write the record (no dimensions, dtype layout.GRIPPER, its crc ignored) into a mapped state file, shape (1,)."""
+    """Write the record (no dimensions, dtype layout.Gripper, its crc ignored) into a mapped state file, shape (1,)."""
     body = values.tobytes()[8:]
-    target = state.view(np.uint8)[_AT : _AT + layout.GRIPPER.itemsize]
+    target = state.view(np.uint8)[_AT : _AT + layout.Gripper.dtype.itemsize]
     target[:8] = 0  # a reader that comes amid this finds a sum that fits nothing
     target[8:] = np.frombuffer(body, np.uint8)
     target[:8] = np.frombuffer(zlib.crc32(body).to_bytes(8, "little"), np.uint8)
@@ -29,9 +30,9 @@ def read_gripper(memory: MemoryFile) -> np.ndarray | None:
     None where there is none, and where its writer is amid writing for longer than a few looks take.
     """
     for attempt in range(READ_TRIES):
-        copy = bytes(memory.map[_AT : _AT + layout.GRIPPER.itemsize])
+        copy = bytes(memory.map[_AT : _AT + layout.Gripper.dtype.itemsize])
         if int.from_bytes(copy[:8], "little") == zlib.crc32(memoryview(copy)[8:]):
-            found = np.ndarray((), layout.GRIPPER, bytearray(copy))
+            found = np.ndarray((), layout.Gripper.dtype, bytearray(copy))
             return found if int(found["written"]) else None
         if not any(copy):
             return None

@@ -12,6 +12,7 @@ import numpy as np
 
 from shm import files, layout
 from shm.files import MemoryFile
+from shm.record import offset_of
 from shm.words import Setpoint
 
 LENGTH_SHIFT = 32
@@ -32,8 +33,8 @@ class Position(NamedTuple):
     setpoints: int = 0
 
 
-_OWN_AT: int = layout.RECORD.fields["number"][1]  # type: ignore[index]
-_CHANGING_AT: int = layout.RECORD.fields["cycle"][1]  # type: ignore[index]
+_OWN_AT = offset_of(layout.CycleRecord, "number")
+_CHANGING_AT = offset_of(layout.CycleRecord, "cycle")
 _KEPT = ("records_written", "frames_written", "events_written")
 _ASKED = ("requests_written", "setpoints_written")
 
@@ -53,17 +54,17 @@ class Recording:
     Attributes:
         joints: names of the joints, in configuration order.
         records: one a cycle, in their order, dtype `record_dtype`.
-        frames: one a CAN frame, in their order, dtype layout.BUS_FRAME.
-        events: of dtype layout.EVENT, oldest first.
-        limits: what the configuration allowed, dtype layout.LIMITS, no dimensions.
-        identifiers: whose frames are whose, of dtype layout.IDENTIFIERS.
-        scheduling: what the control process was given, dtype layout.SCHEDULING, no dimensions.
-        lateness: histogram since the start of the control process, dtype layout.HISTOGRAM, no dimensions.
+        frames: one a CAN frame, in their order, dtype layout.BusFrame.
+        events: of dtype layout.Event, oldest first.
+        limits: what the configuration allowed, dtype layout.Limits, no dimensions.
+        identifiers: whose frames are whose, of dtype layout.Identifiers.
+        scheduling: what the control process was given, dtype layout.Scheduling, no dimensions.
+        lateness: histogram since the start of the control process, dtype layout.Histogram, no dimensions.
         cycle_time: the same of its computing time.
         lost: records that could not be read because they were just being written.
-        requests: what was asked of the arm, of dtype layout.REQUEST; none where its command file was not to be had.
-        openings: the goals that were sent to it, of dtype layout.BEGIN; the same.
-        results: of the newest goals, of dtype layout.RESULT; one that was just being written may be half.
+        requests: what was asked of the arm, of dtype layout.Request; none where its command file was not to be had.
+        openings: the goals that were sent to it, of dtype layout.Begin; the same.
+        results: of the newest goals, of dtype layout.Result; one that was just being written may be half.
     """
 
     arm: str
@@ -81,21 +82,22 @@ class Recording:
     lateness: np.ndarray
     cycle_time: np.ndarray
     lost: int = 0
-    requests: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.REQUEST))
-    openings: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.BEGIN))
-    results: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.RESULT))
+    requests: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.Request.dtype))
+    openings: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.Begin.dtype))
+    results: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.Result.dtype))
 
 
 def record_dtype(joint_count: int) -> np.dtype:
     """A cycle's record of an arm of so many joints."""
-    fields = layout.RECORD.fields
+    fields = layout.CycleRecord.dtype.fields
     assert fields is not None
+    formats = {name: fields[name][0] for name in fields} | {"joints": (layout.Joint.dtype, (joint_count,))}
     return np.dtype(
         {
             "names": list(fields),
-            "formats": [fields[name][0] if name != "joints" else (layout.JOINT, (joint_count,)) for name in fields],
+            "formats": list(formats.values()),
             "offsets": [fields[name][1] for name in fields],
-            "itemsize": layout.used_bytes(layout.RECORD, joint_count),
+            "itemsize": layout.used_bytes(layout.CycleRecord, joint_count),
         }
     )
 
@@ -148,7 +150,7 @@ def read_on(
     records, records_lost, next_record = _records(memory, rings, joint_count, since.records, most)
     happened = int(record["events_written"][0])
     events = _events(record, max(0, since.events, happened - layout.EVENT_SLOTS), happened)
-    requests, openings = np.zeros(0, layout.REQUEST), np.zeros(0, layout.BEGIN)
+    requests, openings = np.zeros(0, layout.Request.dtype), np.zeros(0, layout.Begin.dtype)
     next_request, next_setpoint = since.requests, since.setpoints
     if command is not None:
         requests, next_request = _requests(command.record, since.requests)
@@ -202,19 +204,19 @@ def _records(
     memory: MemoryFile, rings: layout.Rings, joint_count: int, since: int, most: int | None
 ) -> tuple[np.ndarray, int, int]:
     """The whole records of cycles in their order, how many are not whole, and the number behind the last whole one."""
-    size = rings.record_bytes
-    copy, numbers = _copied(memory, layout.STATE.itemsize, size, rings.record_slots, "records_written", since, most)
+    size, at = rings.record_bytes, layout.State.dtype.itemsize
+    copy, numbers = _copied(memory, at, size, rings.record_slots, "records_written", since, most)
     found = np.frombuffer(copy, record_dtype(joint_count))
     view = memoryview(copy)
     whole = found["number"] == numbers
-    for at in np.flatnonzero(whole).tolist():
-        whole[at] = is_whole(view[at * size : (at + 1) * size])
+    for row in np.flatnonzero(whole).tolist():
+        whole[row] = is_whole(view[row * size : (row + 1) * size])
     return found[whole], int(np.count_nonzero(~whole)), _behind(numbers, whole, since)
 
 
 def _frames(memory: MemoryFile, rings: layout.Rings, since: int, most: int | None) -> tuple[np.ndarray, int, int]:
     """The whole records of frames in their order, how many are not whole, and the number behind the last whole one."""
-    dtype = layout.BUS_FRAME
+    dtype = layout.BusFrame.dtype
     if rings.frame_slots == 0:
         return np.zeros(0, dtype), 0, since
     copy, numbers = _copied(memory, rings.frames_at, dtype.itemsize, rings.frame_slots, "frames_written", since, most)
@@ -263,7 +265,7 @@ def _openings(record: np.void, joint_count: int, since: int) -> tuple[np.ndarray
     numbers = np.arange(max(since, written - layout.SETPOINT_SLOTS, 0), written)
     slots = numbers % layout.SETPOINT_SLOTS
     begins = record["setpoints"]["kind"][slots] == Setpoint.BEGIN
-    rows: np.ndarray = record["setpoints"][slots[begins]].view(layout.BEGIN)
-    used = layout.used_bytes(layout.BEGIN, joint_count)
+    rows: np.ndarray = record["setpoints"][slots[begins]].view(layout.Begin.dtype)
+    used = layout.used_bytes(layout.Begin, joint_count)
     whole = [zlib.crc32(row.tobytes()[8:used]) == int(row["crc"]) for row in rows]
     return rows[(rows["sequence"] == numbers[begins]) & np.array(whole, bool)], max(written, since)

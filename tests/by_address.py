@@ -8,10 +8,8 @@ import numpy as np
 from compilation.jit import jit
 from rtloop import cycle
 from rtloop.bus.measured import take_what_the_bus_brought
-from rtloop.memory.state import LOOP
-from rtloop.process.entries import record_at
+from rtloop.process.entries import LOOP, STATE, record_at
 from rtloop.wire import outgoing, received
-from shm.layout import STATE
 
 
 @jit

@@ -11,16 +11,16 @@ from virtual import VirtualArm
 
 from compilation.jit import jit
 from rtloop.cycle import step
-from rtloop.memory.record import offset_of
 from rtloop.process.run import monotonic_ns
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import store_relaxed
+from shm.record import offset_of
 from shm.words import Outcome
 
 WORDS_A_LINE = 8
 
-HEARTBEAT = offset_of(layout.COMMAND, "heartbeat_ns")
+HEARTBEAT = offset_of(layout.Command, "heartbeat_ns")
 
 
 @jit

@@ -46,8 +46,8 @@ def _run_as_python() -> None:
         setattr(atomics, name, _store)
     for name in ("fence_acquire", "fence_release"):
         setattr(atomics, name, _fence)
-    for name in ("STATE", "COMMAND", "SNAPSHOT", "SETPOINT", "BEGIN", "REQUEST"):
-        setattr(layout, name, np.dtype((np.record, getattr(layout, name))))
+    for of in (layout.State, layout.Command, layout.Snapshot, layout.Setpoint, layout.Begin, layout.Request):
+        of.dtype = np.dtype((np.record, of.dtype))
     check: Any = recording.frame_check
     setattr(recording, "frame_check", lambda *words: check(*map(int, words)))  # noqa: B010
 

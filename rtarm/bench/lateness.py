@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from shm import histogram
-from shm.layout import HISTOGRAM
+from shm.layout import Histogram
 
 PERCENTS = {"p50": 50.0, "p90": 90.0, "p99": 99.0, "p99_9": 99.9}
 _CYCLICTEST_LINE = re.compile(r"^(\d+)\s+(\d+)\s*$", re.MULTILINE)
@@ -36,7 +36,7 @@ def recorded(values_ns: Iterable[int], counts: Iterable[int] | None = None) -> n
 
 def empty() -> np.void:
     """The histogram of nothing."""
-    found: np.void = np.zeros(1, HISTOGRAM)[0]
+    found: np.void = np.zeros(1, Histogram.dtype)[0]
     return found
 
 

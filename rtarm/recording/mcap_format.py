@@ -45,17 +45,17 @@ NAMED: dict[str, type[IntEnum]] = {
 }
 """Numbers that stand in the file by name."""
 _SUMS = ("crc", "decisions_crc")
-CYCLE_WORDS = [name for name in layout.RECORD.names or () if name not in (*_SUMS, "joints")]
-JOINT_WORDS = list(layout.JOINT.names or ())
+CYCLE_WORDS = [name for name in layout.CycleRecord.words if name not in (*_SUMS, "joints")]
+JOINT_WORDS = list(layout.Joint.words)
 LATER_CYCLE_WORDS = ("held", "stops", "epoch", "fault_silent", "fault_evidence")
 """What files of before do not have; they are 0 then."""
 LATER_JOINT_WORDS = ("drive_temperature_c", "drive_voltage_v")
 """What files of before do not have; they are NaN then."""
-EVENT_WORDS = list(layout.EVENT.names or ())
+EVENT_WORDS = list(layout.Event.words)
 LATER_EVENT_WORDS = ("silent", "evidence")
 """What files of before do not have; they are 0 then."""
-STATE_MESSAGE = np.dtype([(name, layout.RECORD[name]) for name in CYCLE_WORDS])
-JOINT_MESSAGE = np.dtype([("number", np.int64), *((name, layout.JOINT[name]) for name in JOINT_WORDS)])
+STATE_MESSAGE = np.dtype([(name, layout.CycleRecord.dtype[name]) for name in CYCLE_WORDS])
+JOINT_MESSAGE = np.dtype([("number", np.int64), *((name, layout.Joint.dtype[name]) for name in JOINT_WORDS)])
 """A message of a cycle's state and of a joint in it, as numbers."""
 
 

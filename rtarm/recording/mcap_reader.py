@@ -246,7 +246,7 @@ def _made(
         events=tables[EVENTS],
         limits=_limits_of(limits, joints),
         identifiers=_identifiers_of(json.loads(about.get("identifiers", "[]")), len(joints)),
-        scheduling=_filled_one(layout.SCHEDULING, json.loads(about["scheduling"])),
+        scheduling=_filled_one(layout.Scheduling.dtype, json.loads(about["scheduling"])),
         lateness=_histogram_of(json.loads(timing.get("lateness", "{}"))),
         cycle_time=_histogram_of(json.loads(timing.get("cycle_time", "{}"))),
         lost=int(about["lost"]),
@@ -296,7 +296,7 @@ def _events_of(rows: list[dict[str, Any]]) -> np.ndarray:
     for row in rows:
         for name in LATER_EVENT_WORDS:
             row.setdefault(name, 0)
-    return _filled(layout.EVENT, EVENT_WORDS, rows)
+    return _filled(layout.Event.dtype, EVENT_WORDS, rows)
 
 
 def _filled(dtype: np.dtype, names: Sequence[str], rows: list[dict[str, Any]]) -> np.ndarray:
@@ -332,16 +332,16 @@ def _filled_one(dtype: np.dtype, values: dict[str, Any]) -> np.ndarray:
 def _limits_of(texts: dict[str, str], joints: Sequence[str]) -> np.ndarray:
     values = {name: json.loads(text) for name, text in texts.items()}
     rows = values.pop("joints")
-    made = _filled_one(layout.LIMITS, values)
+    made = _filled_one(layout.Limits.dtype, values)
     for index, name in enumerate(joints):
-        for word in set(layout.LIMITS_JOINT.names or ()) & rows[name].keys():  # files of before have one more
+        for word in set(layout.JointLimits.words) & rows[name].keys():  # files of before have one more
             made["joints"][word][index] = math.nan if rows[name][word] is None else rows[name][word]
     return made
 
 
 def _identifiers_of(rows: list[list[int]], joint_count: int) -> np.ndarray:
     """Files of before have none; their frames say themselves whose they are."""
-    made = np.zeros(len(rows), layout.IDENTIFIERS)
+    made = np.zeros(len(rows), layout.Identifiers.dtype)
     for number, row in enumerate(rows):
         made[number] = tuple(row)
     if np.any((made["joint"] < 0) | (made["joint"] >= joint_count)):
@@ -351,14 +351,14 @@ def _identifiers_of(rows: list[list[int]], joint_count: int) -> np.ndarray:
 
 def _histogram_of(values: dict[str, Any]) -> np.ndarray:
     buckets = values.pop("buckets", {})
-    made = _filled_one(layout.HISTOGRAM, values)
+    made = _filled_one(layout.Histogram.dtype, values)
     for index, count in buckets.items():
         made["buckets"][int(index)] = count
     return made
 
 
 def _frames_of(rows: list[dict[str, Any]]) -> np.ndarray:
-    made = np.zeros(len(rows), layout.BUS_FRAME)
+    made = np.zeros(len(rows), layout.BusFrame.dtype)
     data = [bytes.fromhex(row["data"]) for row in rows]
     if (longest := max(map(len, data), default=0)) > 8:
         raise ValueError(f"a frame of {longest} bytes")

@@ -241,9 +241,7 @@ def _plain(value: Any) -> Any:
 
 def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Name of each channel, name of its schema, and the schema."""
-    units = {
-        word.name: word for table in ("flight recorder's record of a cycle", "joint") for word in layout.TABLES[table]
-    }
+    units = layout.CycleRecord.words | layout.Joint.words
 
     def schema(title: str, dtype: np.dtype, names: Sequence[str], more: dict[str, Any]) -> dict[str, Any]:
         properties = {
@@ -258,7 +256,7 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
         return {"title": title, "type": "object", "properties": {**properties, **more}}
 
     slowed = {"slowed": {"type": "array", "items": {"type": "string"}, "description": units["slowed"].meaning}}
-    yield STATE, "rtarm.State", schema("rtarm.State", layout.RECORD, CYCLE_WORDS, slowed)
+    yield STATE, "rtarm.State", schema("rtarm.State", layout.CycleRecord.dtype, CYCLE_WORDS, slowed)
     derived = {
         "number": {"type": "integer", "description": units["number"].meaning},
         "error_rad": {"type": ["number", "null"], "description": "measured less commanded, of the same instant (rad)"},
@@ -266,7 +264,7 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
         "drive_says": {"type": "array", "items": {"type": "string"}, "description": "drive_status in words"},
     }
     for name in joints:
-        yield JOINTS + name, "rtarm.Joint", schema("rtarm.Joint", layout.JOINT, JOINT_WORDS, derived)
+        yield JOINTS + name, "rtarm.Joint", schema("rtarm.Joint", layout.Joint.dtype, JOINT_WORDS, derived)
     text, integer, number = {"type": "string"}, {"type": "integer"}, {"type": ["number", "null"]}
     stamp = {"type": "object", "title": "time", "properties": {"sec": integer, "nsec": integer}}
     log = {"timestamp": stamp, "level": integer, "message": text, "name": text, "file": text, "line": integer}

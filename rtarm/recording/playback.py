@@ -16,7 +16,7 @@ from rtarm.top.terminal import show
 from rtarm.top.watch import HAPPENINGS, RECENT_S, Look, Timing, span_words, spectrum_of
 from sentences.meaning import Language
 from sentences.told import joint_name, outcome_sentence
-from shm.layout import COUNTED
+from shm.layout import Counted
 from shm.recording import Recording
 from shm.words import Event, Outcome
 
@@ -115,7 +115,7 @@ class Playback:
         """Counters since a cycle, or since the control process' start."""
         records = self._recording.records
         now = records[at]
-        counted = {word.name: int(now[word.name]) for word in COUNTED}
+        counted = {name: int(now[name]) for name in Counted.words}
         counted["cycles"] = int(now["cycle"])
         elapsed_ns = counted["cycles"] * self._recording.period_ns
         if since is not None:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rtarm.running.status import PERCENTS, key
-from shm.layout import BUS_TROUBLE, RECORD
+from shm.layout import BUS_TROUBLE, CycleRecord
 from shm.words import BusState
 
 NS = 1_000_000_000
@@ -18,7 +18,7 @@ RATES = {"frames_sent_per_s": "frames_sent", "frames_received_per_s": "frames_re
 TOTALS = ("overruns", *BUS_TROUBLE)
 """Counters of which the rise within the second is told, and how far they have come."""
 _WORDS = ["number", "monotonic_ns", "epoch_ns", "bits_on_bus", "bus_state", *TIMED.values(), *RATES.values(), *TOTALS]
-_SLIM = np.dtype([(name, RECORD[name]) for name in _WORDS])
+_SLIM = np.dtype([(name, CycleRecord.dtype[name]) for name in _WORDS])
 
 
 class Figures(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from shm import histogram
 from shm.client import StateReader
 from shm.errors import TornRead
-from shm.layout import COUNTERS, HISTOGRAM
+from shm.layout import Counters, Histogram
 
 AFTER_CYCLE_S = 0.0015
 """The snapshot is complete by then; what is read later in the cycle is the same."""
@@ -102,9 +102,9 @@ class Window:
 
     def counters(self) -> tuple[np.void, int, int]:
         """What happened since the beginning, the bit rate, and the nanoseconds since."""
-        since = np.zeros(1, COUNTERS)
+        since = np.zeros(1, Counters.dtype)
         now = self._record["counters"].copy()
-        for name in COUNTERS.names or ():
+        for name in Counters.words:
             since[name] = now[name] - self._counters[name]
         found: np.void = since[0]
         return found, self._bitrate, time.monotonic_ns() - self._began_ns
@@ -112,7 +112,7 @@ class Window:
     def histogram(self, name: str) -> np.void:
         """`lateness` or `cycle_time` since the beginning, as a histogram of its own."""
         now = self._record[name]
-        since: np.void = np.zeros(1, HISTOGRAM)[0]
+        since: np.void = np.zeros(1, Histogram.dtype)[0]
         buckets = now["buckets"].copy() - self._buckets[name]
         since["buckets"] = buckets
         since["count"] = buckets.sum()

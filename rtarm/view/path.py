@@ -27,7 +27,7 @@ class GoalPath:
 
     def __init__(self, arm: str, joint_count: int) -> None:
         self._arm = arm
-        self._used = layout.used_bytes(layout.SETPOINT, joint_count)
+        self._used = layout.used_bytes(layout.Setpoint, joint_count)
         self._joint_count = joint_count
         self._memory: MemoryFile | None = None
         self._goal_id = 0
@@ -71,7 +71,7 @@ class GoalPath:
             raw = ring[number % layout.SETPOINT_SLOTS].tobytes()[: self._used]
             if zlib.crc32(raw[8:]) != int.from_bytes(raw[:8], "little"):
                 continue
-            waypoint = np.frombuffer(raw.ljust(layout.SETPOINT.itemsize, b"\0"), layout.SETPOINT)[0]
+            waypoint = np.frombuffer(raw.ljust(layout.Setpoint.dtype.itemsize, b"\0"), layout.Setpoint.dtype)[0]
             if int(waypoint["goal_id"]) == self._goal_id and int(waypoint["kind"]) == Setpoint.WAYPOINT:
                 joints = waypoint["joints"][: self._joint_count]
                 state = np.stack([joints[name] for name in joints.dtype.names], axis=-1)

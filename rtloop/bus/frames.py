@@ -4,17 +4,18 @@ from compilation.jit import jit
 from rtloop.drives import families
 from rtloop.memory import status as status_bits
 from rtloop.memory.modes import is_disabled
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.memory.updates import stop_left
 from rtloop.safety import transmission
 from rtloop.service import port, rings
 from rtloop.wire import outgoing, received
 from rtloop.wire.outgoing import frame_bits
+from shm.layout import State
 from shm.words import Mode
 
 
 @jit
-def encode(loop: Loop, shared: Shared) -> None:
+def encode(loop: Loop, shared: State) -> None:
     """Put this cycle's frames into the transmit buffer: motion first, then readings, then service."""
     params = loop.params
     outgoing.begin(loop, shared)
@@ -65,7 +66,7 @@ def mirror(loop: Loop, joint: int) -> None:
 
 
 @jit
-def ask(loop: Loop, shared: Shared) -> None:
+def ask(loop: Loop, shared: State) -> None:
     """Ask every drive that does not report its position for it, and one of them in turn for its status."""
     bus, params = loop.bus, loop.params
     for joint in range(params.joint_count):
@@ -83,7 +84,7 @@ def ask(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def probe(loop: Loop, shared: Shared) -> None:
+def probe(loop: Loop, shared: State) -> None:
     """Ask one drive in turn, now and then, whether anybody is there again: what is asked now only queues up."""
     bus, params = loop.bus, loop.params
     if not transmission.may_probe(loop):
@@ -95,7 +96,7 @@ def probe(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def send_service_frames(loop: Loop, shared: Shared) -> None:
+def send_service_frames(loop: Loop, shared: State) -> None:
     """Send frames of service dialogues in the bus time that this cycle leaves; packets of one command together."""
     bus = loop.bus
     spare = loop.params.service_bits - loop.outgoing.bits

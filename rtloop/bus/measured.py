@@ -8,14 +8,14 @@ from compilation.jit import jit
 from rtloop.drives import families
 from rtloop.memory.link import GRIPPER, NOBODY, RX_CHUNKS, WIRE_MOCK
 from rtloop.memory.recorder import marks_of, record_frame
-from rtloop.memory.state import HISTORY_SLOTS, Loop, Shared
+from rtloop.memory.state import HISTORY_SLOTS, Loop
 from rtloop.safety import monitor, silence
 from rtloop.safety.faults import latch_fault
 from rtloop.service import rings
 from rtloop.wire import can_errors, outgoing, received, wires
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from rtloop.wire.outgoing import frame_bits
-from shm.layout import MAX_JOINTS
+from shm.layout import MAX_JOINTS, State
 from shm.words import BusState, Fault, Mode
 
 SHORTEST_SHARE = 0.25
@@ -26,7 +26,7 @@ SMOOTHING_S = 0.1
 
 
 @jit
-def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
+def take_what_the_bus_brought(loop: Loop, shared: State) -> None:
     """Decode every byte that has come since the last cycle into measured state."""
     parser = loop.parser
     if loop.params.wire == WIRE_MOCK:
@@ -51,7 +51,7 @@ def take_what_the_bus_brought(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def take_frames(loop: Loop, shared: Shared, end: int, time_ns: int) -> None:
+def take_frames(loop: Loop, shared: State, end: int, time_ns: int) -> None:
     """The frames that end before `end`."""
     found = FRAME
     while found != NOTHING:
@@ -63,7 +63,7 @@ def take_frames(loop: Loop, shared: Shared, end: int, time_ns: int) -> None:
 
 
 @jit
-def take_error(loop: Loop, shared: Shared, error_class: int, data: int) -> None:
+def take_error(loop: Loop, shared: State, error_class: int, data: int) -> None:
     """The state that the bus controller reports. Only bus-off is a fault by itself: nothing leaves any more.
 
     What the kernel held back at bus-off is dropped there; from here on nothing but readings may be asked for.
@@ -80,7 +80,7 @@ def take_error(loop: Loop, shared: Shared, error_class: int, data: int) -> None:
 
 
 @jit
-def take_frame(loop: Loop, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int) -> None:
+def take_frame(loop: Loop, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int) -> None:
     """A frame from a drive: into the axis it belongs to, and to the conversation that may wait for it.
 
     Adapters may echo what they send. A question is never as long as its answer and no answer begins as a command does,
@@ -110,7 +110,7 @@ def whose(loop: Loop, frame_id: int, kind: int) -> int:
 
 
 @jit
-def take_positions(loop: Loop, shared: Shared) -> None:
+def take_positions(loop: Loop, shared: State) -> None:
     """Measure every joint by the last position that came from its drive since the last cycle."""
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
@@ -122,7 +122,7 @@ def take_positions(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def take_position(loop: Loop, shared: Shared, joint: int, position_rad: float, read_ns: int) -> None:
+def take_position(loop: Loop, shared: State, joint: int, position_rad: float, read_ns: int) -> None:
     axis, params = loop.axes[joint], loop.params
     measured, tracking = axis.measured, axis.tracking
     reference_rad = commanded_at(loop, joint, read_ns)
@@ -168,8 +168,8 @@ def commanded_at(loop: Loop, joint: int, time_ns: int) -> float:
         later = axis.commanded.position_rad
     for back in range(min(HISTORY_SLOTS, loop.history.next)):
         slot = (newest - back) & (HISTORY_SLOTS - 1)
-        at_ns = loop.history.time_ns[slot]
-        here = loop.history.position_rad[slot * MAX_JOINTS + joint]
+        at_ns: int = loop.history.time_ns[slot]
+        here: float = loop.history.position_rad[slot * MAX_JOINTS + joint]
         if at_ns <= time_ns:
             if later_ns <= at_ns or time_ns >= later_ns:
                 return later

@@ -4,12 +4,13 @@ from compilation.jit import jit
 from rtloop.commands import request_reader, setpoint_reader
 from rtloop.memory.events import record_event
 from rtloop.memory.modes import change_mode
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.memory.updates import forget_drive, forget_motion, forget_readings, stand, stood
 from rtloop.safety import references
 from rtloop.safety.faults import forget_fault, latch_fault
 from rtloop.service import port, rings
 from rtloop.trajectory.phases import raise_epoch, slow_down
+from shm.layout import State
 from shm.words import Answer, BusState, Event, Fault, Mode, Outcome, Request
 
 _ANY_REASON = -1
@@ -19,7 +20,7 @@ POSE_DUE_NS = 120_000_000_000
 
 
 @jit
-def take_service_orders(loop: Loop, shared: Shared) -> None:
+def take_service_orders(loop: Loop, shared: State) -> None:
     """Obey bring-up's decisions up to the next frame it wants sent (frames leave in `encode`)."""
     dialogue = loop.dialogue
     while rings.inbox(loop) > 0:
@@ -68,7 +69,7 @@ def take_service_orders(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def begin_bring_up(loop: Loop, shared: Shared) -> None:
+def begin_bring_up(loop: Loop, shared: State) -> None:
     """Forget the fault, but no reason for which a reference was lost; no motion frame leaves until a goal runs."""
     dialogue = loop.dialogue
     if not change_mode(loop, shared, Mode.BRINGING_UP):

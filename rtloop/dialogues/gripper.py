@@ -66,7 +66,7 @@ class GripperDialogue(Conversation):
         self._asked, self._operator = loop[0]["gripper"], loop[0]["operator"]
         self._state = state
         self._tell = tell
-        self._shown = np.zeros((), layout.GRIPPER)
+        self._shown = np.zeros((), layout.Gripper.dtype)
         self._shown["position_rad"] = self._shown["velocity_rad_s"] = math.nan
         self._shown["measured_effort"] = self._shown["target_rad"] = math.nan
         self._known = False

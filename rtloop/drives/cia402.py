@@ -30,10 +30,11 @@ from rtloop.drives.cia402_setup import (
 from rtloop.drives.errors import code_meanings
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.safety import monitor, setpoint_check
 from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
+from shm.layout import State
 from shm.words import Unreferenced
 
 ERROR_MEANINGS = code_meanings(ERRORS)
@@ -61,7 +62,7 @@ def setpoint_rad(loop: Loop, joint: int) -> float:
 
 
 @jit
-def send_target(loop: Loop, joint: int, shared: Shared, position_rad: float, stops: int) -> bool:
+def send_target(loop: Loop, joint: int, shared: State, position_rad: float, stops: int) -> bool:
     """Send a target of the joint as RPDO1; `stops` as in `outgoing.put`. False if the transmit buffer has no room."""
     row = loop.joints[joint]
     counts = words.bounded((position_rad + row.zero_rad) * row.command_per_rad, HIGHEST_COUNT)
@@ -70,7 +71,7 @@ def send_target(loop: Loop, joint: int, shared: Shared, position_rad: float, sto
 
 
 @jit
-def lead(loop: Loop, joint: int, shared: Shared) -> None:
+def lead(loop: Loop, joint: int, shared: State) -> None:
     """Send the target of this cycle; a drive that got no targets for a while catches up gradually."""
     target_rad = setpoint_rad(loop, joint)
     target_rad -= following.still_behind_rad(loop, joint, target_rad)
@@ -79,7 +80,7 @@ def lead(loop: Loop, joint: int, shared: Shared) -> None:
 
 
 @jit
-def stop(loop: Loop, joint: int, shared: Shared) -> bool:
+def stop(loop: Loop, joint: int, shared: State) -> bool:
     """Command the drive to hold its measured position; a quick stop may switch its torque off (option code 605A).
 
     Without new targets the drive stands at its last one. So nothing is sent if the last reading is old or in doubt,
@@ -94,7 +95,7 @@ def stop(loop: Loop, joint: int, shared: Shared) -> bool:
 
 
 @jit
-def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
+def ask_position(loop: Loop, joint: int, shared: State) -> None:
     """Send a SYNC, once a cycle: all drives of the family answer it with their position, with a new target or not."""
     if loop.bus.sync_cycle != loop.timing.cycle:
         if not outgoing.send(loop, shared, SYNC, STANDARD, 0, 0):
@@ -104,7 +105,7 @@ def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
 
 
 @jit
-def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
+def ask_status(loop: Loop, joint: int, shared: State) -> None:
     """Send nothing: the status comes with every position."""
 
 
@@ -121,7 +122,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 @jit
 def receive(
-    loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
+    loop: Loop, joint: int, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """Store position, status and torque of TPDO1, the error code of an emergency, or a heartbeat out of operation."""
     row, axis = loop.joints[joint], loop.axes[joint]

@@ -1,27 +1,28 @@
 """No drive: nothing is sent or received; `rtloop.bus.frames.mirror` makes the commanded position the measured one."""
 
 from compilation.jit import jit
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
+from shm.layout import State
 
 
 @jit
-def lead(loop: Loop, joint: int, shared: Shared) -> None:
+def lead(loop: Loop, joint: int, shared: State) -> None:
     """Send nothing."""
 
 
 @jit
-def stop(loop: Loop, joint: int, shared: Shared) -> bool:
+def stop(loop: Loop, joint: int, shared: State) -> bool:
     """Send nothing: a mock joint is where it is commanded to be."""
     return True
 
 
 @jit
-def ask_position(loop: Loop, joint: int, shared: Shared) -> None:
+def ask_position(loop: Loop, joint: int, shared: State) -> None:
     """Send nothing."""
 
 
 @jit
-def ask_status(loop: Loop, joint: int, shared: Shared) -> None:
+def ask_status(loop: Loop, joint: int, shared: State) -> None:
     """Send nothing."""
 
 
@@ -38,6 +39,6 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 @jit
 def receive(
-    loop: Loop, joint: int, shared: Shared, frame_id: int, kind: int, length: int, data: int, time_ns: int
+    loop: Loop, joint: int, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """Do nothing: a mock drive sends no frames."""

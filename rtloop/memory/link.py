@@ -2,8 +2,9 @@
 
 from typing import Annotated
 
-from rtloop.memory.record import Bytes, Ints, Record, Rows, SmallInts
+from rtloop.memory.record import Record
 from shm.layout import MAX_JOINTS
+from shm.record import Bytes, Ints, Rows, SmallInts
 
 TX_BYTES = 8192
 RX_BYTES = 1 << 16

@@ -1,10 +1,11 @@
 """What the cycle remembers of goals and motion: two paths, the clock that runs along one, who asked for what."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from rtloop.memory.record import Record, Rows
+from rtloop.memory.record import Record
 from shm import layout
 from shm.layout import MAX_JOINTS
+from shm.record import Rows
 
 WINDOW_WAYPOINTS = 4096
 """Waypoints the loop keeps of a trajectory: at least its stopping distance at any sensible spacing."""
@@ -130,8 +131,8 @@ class Path(
     goal_time_s: float
     approach: int
     stream: int
-    tolerances: Annotated[Any, (layout.SETPOINT_JOINT, (MAX_JOINTS,))]  # on the way
-    goal_tolerances: Annotated[Any, (layout.SETPOINT_JOINT, (MAX_JOINTS,))]  # at the end
+    tolerances: Annotated[Rows[layout.SetpointJoint], MAX_JOINTS]  # on the way
+    goal_tolerances: Annotated[Rows[layout.SetpointJoint], MAX_JOINTS]  # at the end
     entry_s: float  # path time at which it was entered, where the blend begins
     blend_s: float  # path time the blend lasts
     from_rest: int  # 1: it was entered by an arm at rest

@@ -8,29 +8,31 @@ that only the recorder's few words are summed again.
 
 from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE
-from rtloop.memory.record import offset_of
-from rtloop.memory.state import LOOP, Loop, Shared
+from rtloop.memory.state import Loop
 from shm import layout, recording
 from shm.atomics import load_relaxed, store_relaxed, store_release
+from shm.layout import State
+from shm.record import offset_of
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Outcome, Phase, Slowed
 
 SENT = recording.SENT
 
-_RECORDS_WRITTEN = offset_of(layout.STATE, "records_written")
-_FRAMES_WRITTEN = offset_of(layout.STATE, "frames_written")
-_RINGS = layout.STATE.itemsize
-_FRAME_BYTES = layout.BUS_FRAME.itemsize
-_HEARTBEAT = offset_of(layout.COMMAND, "heartbeat_ns")
-_COUNTED = offset_of(layout.STATE, "counters", layout.COUNTED[0].name)
-_COUNTED_WORDS = len(layout.COUNTED)
+_RECORDS_WRITTEN = offset_of(layout.State, "records_written")
+_FRAMES_WRITTEN = offset_of(layout.State, "frames_written")
+_RINGS = layout.State.dtype.itemsize
+_FRAME_BYTES = layout.BusFrame.dtype.itemsize
+_HEARTBEAT = offset_of(layout.Command, "heartbeat_ns")
+_FIRST_COUNTED = next(iter(layout.Counted.words))
+_COUNTED = offset_of(layout.State, "counters", _FIRST_COUNTED)
+_COUNTED_WORDS = len(layout.Counted.words)
 
-_RECORD = offset_of(LOOP, "record")
-_NUMBER = offset_of(layout.RECORD, "number")
-_OWN_COUNTED = offset_of(layout.RECORD, layout.COUNTED[0].name)
-_OWN_BYTES = offset_of(layout.RECORD, "cycle")
+_RECORD = offset_of(Loop, "record")
+_NUMBER = offset_of(layout.CycleRecord, "number")
+_OWN_COUNTED = offset_of(layout.CycleRecord, _FIRST_COUNTED)
+_OWN_BYTES = offset_of(layout.CycleRecord, "cycle")
 _OWN_WORDS = (_OWN_BYTES - _NUMBER) // 8
-_CHANGING = offset_of(LOOP, "snapshot") + offset_of(layout.SNAPSHOT, "cycle")
+_CHANGING = offset_of(Loop, "snapshot") + offset_of(layout.Snapshot, "cycle")
 
 # numba adds up no members of an enumeration, so they are plain integers here.
 _HELD, _CLOSING, _OWN_BRAKE = int(Slowed.HELD), int(Slowed.CLOSING), int(Slowed.OWN_BRAKE)
@@ -52,7 +54,7 @@ def slowed(loop: Loop) -> int:
 
 
 @jit
-def record_cycle(loop: Loop, shared: Shared) -> None:
+def record_cycle(loop: Loop, shared: State) -> None:
     """Keep this cycle, whose snapshot has just been made and summed; allocates nothing, waits for nobody."""
     params, record = loop.params, loop.record
     slots = shared.recorder.record_slots
@@ -87,7 +89,7 @@ def marks_of(kind: int) -> int:
 
 
 @jit
-def record_frame(loop: Loop, shared: Shared, time_ns: int, frame_id: int, marks: int, length: int, data: int) -> None:
+def record_frame(loop: Loop, shared: State, time_ns: int, frame_id: int, marks: int, length: int, data: int) -> None:
     """Keep a CAN frame; `marks` are SENT and those of its kind."""
     slots = shared.recorder.frame_slots
     if slots == 0:

@@ -5,7 +5,7 @@ cycle. One record instead of objects keeps the compiled cycle free of allocation
 copied, compared and replayed. Its parts are declared by subject: `axis`, `motion`, `link`, and here what is left.
 """
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from rtloop.memory.axis import Axis, JointParams
 from rtloop.memory.link import (
@@ -21,16 +21,14 @@ from rtloop.memory.link import (
     Wire,
 )
 from rtloop.memory.motion import WINDOW_WAYPOINTS, Clock, Front, Goals, Motion, Operator, Path, Search
-from rtloop.memory.record import Floats, Ints, Record, Rows
+from rtloop.memory.record import Record
 from shm import layout
 from shm.layout import MAX_JOINTS
+from shm.record import Floats, Ints, Rows
 
 HISTORY_SLOTS = 256
 """Cycles of commanded positions kept, to compare a measurement with the command of its own instant: the age at which a
 drive counts as silent (0.1 s), at the highest rate (2000 Hz)."""
-
-Shared = Any
-"""The mapped state file: a record of dtype `shm.layout.STATE`."""
 
 
 class Params(Record, writers=()):
@@ -155,13 +153,13 @@ class Loop(Record, writers=("memory.modes",)):
     quiet: Quiet
     axes: Annotated[Rows[Axis], MAX_JOINTS]
     paths: Annotated[Rows[Path], 2]
-    waypoints: Annotated[Any, (layout.SETPOINT, (2 * WINDOW_WAYPOINTS,))]
+    waypoints: Annotated[Rows[layout.Setpoint], 2 * WINDOW_WAYPOINTS]
     history: History
-    snapshot: Annotated[Any, layout.SNAPSHOT]
-    record: Annotated[Any, layout.RECORD]  # what the flight recorder adds to the snapshot; the rest of it is not used
-    scratch: Annotated[Any, layout.SETPOINT]
-    scratch_begin: Annotated[Any, layout.BEGIN]
-    scratch_request: Annotated[Any, layout.REQUEST]
+    snapshot: layout.Snapshot
+    record: layout.CycleRecord  # what the flight recorder adds to the snapshot; the rest of it is not used
+    scratch: layout.Setpoint
+    scratch_begin: layout.Begin
+    scratch_request: layout.Request
     scratch_scale: float
     wake_up: Annotated[Ints, 2]  # timespecs
     clock_read: Annotated[Ints, 2]
@@ -172,6 +170,3 @@ class Loop(Record, writers=("memory.modes",)):
     reader: Reader
     service_in: ServiceRing  # conversation → cycle
     service_out: ServiceRing  # cycle → conversation
-
-
-LOOP = Loop.dtype

@@ -20,7 +20,7 @@ from rtloop.dialogues.release import Release
 from rtloop.dialogues.shutdown import ShutdownDialogue
 from rtloop.drives.setup import ERROR_AT_START
 from rtloop.kept import commissioned, reference_store
-from rtloop.memory.record import offset_of
+from rtloop.memory.state import Loop
 from rtloop.process.compiled import CompiledCycle
 from rtloop.process.initial_state import new_loop, show_drives, show_limits
 from rtloop.process.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
@@ -32,6 +32,7 @@ from rtloop.wire.refusal import WireRefused
 from sentences.english import HEALED, STILL_QUEUED, WIRE_IS_BACK
 from sentences.told import fault_told
 from shm import files
+from shm.record import offset_of
 from shm.words import Mode, Phase, Unreferenced
 
 BUSY_POLL_S = 0.004
@@ -262,10 +263,10 @@ class ControlProcess:
 
     def _store(self, value: int, *word: str) -> None:
         """Publish a word of the loop's record to the threads."""
-        self._compiled.store_word(self._loop.ctypes.data + offset_of(self._loop.dtype, *word), value)
+        self._compiled.store_word(self._loop.ctypes.data + offset_of(Loop, *word), value)
 
     def _load(self, *word: str) -> int:
-        found: int = self._compiled.load_word(self._loop.ctypes.data + offset_of(self._loop.dtype, *word))
+        found: int = self._compiled.load_word(self._loop.ctypes.data + offset_of(Loop, *word))
         return found
 
     # --- the wire

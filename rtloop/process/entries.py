@@ -10,10 +10,13 @@ from numba import types
 from numba.extending import intrinsic
 
 from compilation.jit import jit
-from rtloop.memory.state import LOOP
+from rtloop.memory.state import Loop
 from rtloop.process import run as threads
 from shm.atomics import load_acquire, store_release
-from shm.layout import STATE
+from shm.layout import State
+
+# compiled functions can look up no attribute of a class
+LOOP, STATE = Loop.dtype, State.dtype
 
 
 @intrinsic

@@ -16,18 +16,18 @@ from rtloop.drives.setup import homes_by_a_run, setup_of
 from rtloop.kept.reference_store import PSEUDO_TERMINALS
 from rtloop.memory.frame_words import EXTENDED, STANDARD
 from rtloop.memory.link import CAN_FRAME_BYTES, GRIPPER, LISTENERS, WIRES, Part
-from rtloop.memory.state import LOOP, Params
+from rtloop.memory.state import Loop, Params
 from shm import layout
 from shm.words import Mode, Unreferenced
 
 
 def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.ndarray:
-    """The state of a control process that has not run a cycle yet, shape (1,), dtype LOOP.
+    """The state of a control process that has not run a cycle yet, shape (1,), dtype `Loop.dtype`.
 
-    The addresses are those of the mapped state and command files (dtypes layout.STATE and layout.COMMAND). The mappings
-    must outlive the returned array.
+    The addresses are those of the mapped state and command files (layout.State and layout.Command). The
+    mappings must outlive the returned array.
     """
-    loop = np.zeros(1, LOOP)
+    loop = np.zeros(1, Loop.dtype)
     memory, params = loop[0], loop[0]["params"]
     params["address"] = loop.ctypes.data
     params["state_address"] = state_address
@@ -63,17 +63,16 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
 
 
 def show_limits(limits: np.void, loop: np.ndarray) -> None:
-    """Write the arm's limits into the state file's record for them (dtype layout.LIMITS)."""
+    """Write the arm's limits into the state file's record for them (dtype layout.Limits)."""
     params, joints = loop[0]["params"], loop[0]["joints"]
-    for name in layout.LIMITS.names or ():
-        if name in (Params.dtype.names or ()):
-            limits[name] = params[name]
+    for name in layout.Limits.words.keys() & Params.words:
+        limits[name] = params[name]
     for name in ("lower_rad", "upper_rad", "max_velocity_rad_s", "max_acceleration_rad_s2"):
         limits["joints"][name] = joints[name]
 
 
 def show_drives(state: np.void, arm: ArmConfig) -> None:
-    """Write into the state file (dtype layout.STATE) which identifiers are which joint's, and which joints can home."""
+    """Write into the state file (layout.State) which identifiers are which joint's, and which joints can home."""
     for joint, config in enumerate(arm.joints):
         state["limits"]["joints"]["homes"][joint] = homes_by_a_run(config.drive)
     used = [(one, joint) for joint, config in enumerate(arm.joints) for one in config.drive.identifiers]

@@ -5,14 +5,11 @@ The reader exists because a read of a tty can block for milliseconds even when i
 locks that an ordinary-priority kernel worker may hold). The cycle reads only the ring that the reader fills.
 """
 
-from typing import Any
-
 from compilation.jit import jit
 from rtloop.cycle import step
 from rtloop.memory.events import record_event
 from rtloop.memory.link import CAN_FRAME_BYTES, READ_BYTES, RX_FRAMES, WIRE_SOCKETCAN
-from rtloop.memory.record import offset_of
-from rtloop.memory.state import LOOP, Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.system.libc import (
     CLOCK_BOOTTIME,
     CLOCK_MONOTONIC,
@@ -36,19 +33,21 @@ from rtloop.system.libc import (
 from rtloop.wire import outgoing, received, wires
 from shm import histogram
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
+from shm.layout import Histogram, State
+from shm.record import offset_of
 from shm.words import BusState, Event
 
-_TX = offset_of(LOOP, "outgoing", "bytes")
-_STOP = offset_of(LOOP, "stop")
-_WAKE_UP = offset_of(LOOP, "wake_up")
-_CLOCK = offset_of(LOOP, "clock_read")
-_TX_MESSAGES = offset_of(LOOP, "outgoing", "messages")
-_FD = offset_of(LOOP, "wire", "fd")
-_FD_IN_USE = offset_of(LOOP, "wire", "fd_in_use")
-_READER_CLOCK = offset_of(LOOP, "received", "arrived", "clock")
-_READER_POLL = offset_of(LOOP, "reader", "poll")
-_READER_BYTES = offset_of(LOOP, "reader", "bytes")
-_READER_MESSAGES = offset_of(LOOP, "reader", "messages")
+_TX = offset_of(Loop, "outgoing", "bytes")
+_STOP = offset_of(Loop, "stop")
+_WAKE_UP = offset_of(Loop, "wake_up")
+_CLOCK = offset_of(Loop, "clock_read")
+_TX_MESSAGES = offset_of(Loop, "outgoing", "messages")
+_FD = offset_of(Loop, "wire", "fd")
+_FD_IN_USE = offset_of(Loop, "wire", "fd_in_use")
+_READER_CLOCK = offset_of(Loop, "received", "arrived", "clock")
+_READER_POLL = offset_of(Loop, "reader", "poll")
+_READER_BYTES = offset_of(Loop, "reader", "bytes")
+_READER_MESSAGES = offset_of(Loop, "reader", "messages")
 
 POLL_MS = 20
 """Timeout of the reader's poll; a reader whose loop has not gone round for several of these was kept from running."""
@@ -83,13 +82,13 @@ def suspended_ns(timespec_address: int) -> int:
 
 
 @jit
-def record(histogram_record: Any, value_ns: int) -> None:
+def record(durations: Histogram, value_ns: int) -> None:
     """Count a duration in a histogram; a negative one counts as 0."""
     value_ns = max(value_ns, 0)
-    histogram_record.buckets[bucket(value_ns)] += 1
-    histogram_record.count += 1
-    histogram_record.sum_ns += value_ns
-    histogram_record.max_ns = max(histogram_record.max_ns, value_ns)
+    durations.buckets[bucket(value_ns)] += 1
+    durations.count += 1
+    durations.sum_ns += value_ns
+    durations.max_ns = max(durations.max_ns, value_ns)
 
 
 @jit
@@ -103,7 +102,7 @@ def sleep_until(loop: Loop, deadline_ns: int) -> None:
 
 
 @jit
-def take_over_wire(loop: Loop, shared: Shared) -> int:
+def take_over_wire(loop: Loop, shared: State) -> int:
     """The descriptor of the wire in this cycle, -1 for none.
 
     If it is another one than before, frames that wait to be sent and half received ones are dropped.
@@ -123,7 +122,7 @@ def take_over_wire(loop: Loop, shared: Shared) -> int:
 
 
 @jit
-def send_bytes(loop: Loop, shared: Shared, fd: int) -> None:
+def send_bytes(loop: Loop, shared: State, fd: int) -> None:
     """Hand the transmit buffer to the wire at once: characters in one write, CAN frames in one batch.
 
     A batch that the system accepts in part gives no error; if the reason lasts, the next cycle's batch gives it.
@@ -162,7 +161,7 @@ def follow_epoch(loop: Loop, woke_ns: int) -> None:
 
 
 @jit
-def run(loop: Loop, shared: Shared) -> None:
+def run(loop: Loop, shared: State) -> None:
     """Run cycles until the stop word is set, on whatever wire is open."""
     params = loop.params
     clock = params.address + _CLOCK

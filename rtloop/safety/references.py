@@ -2,9 +2,10 @@
 
 from compilation.jit import jit
 from rtloop.memory.events import record_event
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.memory.updates import owe_no_stop, owe_stop
 from rtloop.safety.absolute_encoder import absolute_makes_good
+from shm.layout import State
 from shm.words import Event, Unreferenced
 
 _absolute_makes_good = jit(absolute_makes_good)
@@ -20,7 +21,7 @@ def outlives_a_clear(loop: Loop, joint: int) -> bool:
 
 
 @jit
-def lose_reference(loop: Loop, shared: Shared, joint: int, reason: int) -> None:
+def lose_reference(loop: Loop, shared: State, joint: int, reason: int) -> None:
     """The drive's count means nothing any more: stop command, then no motion frame until it is referenced."""
     axis = loop.axes[joint]
     reference = axis.reference

@@ -4,8 +4,9 @@ They are for people. Nothing in the cycle is decided by them.
 """
 
 from compilation.jit import jit
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.wire import received
+from shm.layout import State
 from shm.words import BusState, Evidence
 
 # numba adds up no members of an enumeration, so they are plain integers here.
@@ -17,7 +18,7 @@ _SIMULATED = int(Evidence.SIMULATED)
 
 
 @jit
-def follow(loop: Loop, shared: Shared) -> None:
+def follow(loop: Loop, shared: State) -> None:
     """Once a cycle, behind all that the bus brought: note each sign, and count anew from the last frame of a drive."""
     quiet, counters = loop.quiet, shared.counters
     if quiet.adapter_words != quiet.adapter_words_before:
@@ -33,7 +34,7 @@ def follow(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def evidence(loop: Loop, shared: Shared) -> int:
+def evidence(loop: Loop, shared: State) -> int:
     """Bits of shm.words.Evidence since the last frame of a drive."""
     timing, params, quiet, counters = loop.timing, loop.params, loop.quiet, shared.counters
     found = 0

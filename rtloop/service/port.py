@@ -13,8 +13,8 @@ import numpy as np
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.link import GRIPPER, NOBODY, SERVICE_SLOTS
-from rtloop.memory.record import offset_of
-from rtloop.memory.state import LOOP
+from rtloop.memory.state import Loop
+from shm.record import offset_of
 from shm.words import Unreferenced
 
 SEND = 1  # send a CAN frame
@@ -32,8 +32,8 @@ POWER_KEPT = 12  # joint's drive has proven that it had power while it was silen
 
 SOUND = status_bits.ENABLED | status_bits.REACHED | status_bits.ANSWERED
 """The only bits that the status of a drive without an error may have set."""
-IN = offset_of(LOOP, "service_in")
-OUT = offset_of(LOOP, "service_out")
+IN = offset_of(Loop, "service_in")
+OUT = offset_of(Loop, "service_out")
 WRITTEN = 0
 TAKEN = 16 * 8
 

@@ -4,7 +4,7 @@ from compilation.jit import jit
 from motion.stopping import ORDERLY
 from rtloop.memory.modes import change_mode
 from rtloop.memory.motion import WINDOW_WAYPOINTS
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.trajectory.ahead import LOOKS_A_CYCLE
 from rtloop.trajectory.arrival import has_arrived, rate_that_settles, rate_with_room_to_arrive, slow_down_to_arrive
 from rtloop.trajectory.clock import must_brake_for_lack_of_path, set_rate, steer_rate, way_s
@@ -32,6 +32,7 @@ from rtloop.trajectory.phases import (
     tell_why_it_stops,
     waits,
 )
+from shm.layout import State
 from shm.words import Mode, Outcome, Phase, Slowed
 
 _LATE_DRIVE, _STARVING, _MAKING_WAY = int(Slowed.LATE_DRIVE), int(Slowed.STARVING), int(Slowed.MAKING_WAY)
@@ -42,7 +43,7 @@ COVER_S = 1.0
 
 
 @jit
-def enter_newer_goal(loop: Loop, shared: Shared) -> None:
+def enter_newer_goal(loop: Loop, shared: State) -> None:
     """Let a newer goal take over once enough of it is here, it is due, and a bounded way onto it exists."""
     goals, newer = loop.goals, incoming(loop)
     if not waits(loop) or loop.motion.resync_ns != 0:
@@ -112,7 +113,7 @@ def why_not_to_wait(loop: Loop) -> tuple[int, float, float]:
 
 
 @jit
-def refused_as_too_far(loop: Loop, shared: Shared, entry_s: float) -> bool:
+def refused_as_too_far(loop: Loop, shared: State, entry_s: float) -> bool:
     """Refuse the newer goal if the place where it would be entered is not where the arm is."""
     joint, distance = entry_distance(loop, incoming(loop), entry_s)
     tolerance = loop.params.start_tolerance_rad
@@ -123,7 +124,7 @@ def refused_as_too_far(loop: Loop, shared: Shared, entry_s: float) -> bool:
 
 
 @jit
-def start_incoming(loop: Loop, shared: Shared) -> None:
+def start_incoming(loop: Loop, shared: State) -> None:
     """Let the path that has just become the active one run; the goal of the other is over."""
     goals = loop.goals
     older = loop.paths[incoming(loop)]
@@ -137,7 +138,7 @@ def start_incoming(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def finish_running(loop: Loop, shared: Shared, outcome: int, joint: int, value: float, limit: float) -> None:
+def finish_running(loop: Loop, shared: State, outcome: int, joint: int, value: float, limit: float) -> None:
     """No goal runs any more; the one that did has this outcome, if it was not told another before."""
     goals = loop.goals
     end_goal(loop, shared, goals.active, outcome, joint, value, limit)
@@ -149,7 +150,7 @@ def finish_running(loop: Loop, shared: Shared, outcome: int, joint: int, value: 
 
 
 @jit
-def finish_stopped(loop: Loop, shared: Shared) -> None:
+def finish_stopped(loop: Loop, shared: State) -> None:
     """The arm stands; the goal has the outcome for which it was stopped."""
     running = loop.paths[loop.goals.active]
     joint, value, limit = running.reason_joint, running.reason_value, running.reason_limit
@@ -162,7 +163,7 @@ def front_is_lost(loop: Loop) -> bool:
 
 
 @jit
-def steer(loop: Loop, shared: Shared) -> None:
+def steer(loop: Loop, shared: State) -> None:
     """Decide how fast the trajectory clock should run, and begin the stops that are not commanded."""
     goals = loop.goals
     loop.search.checks_left = LOOKS_A_CYCLE
@@ -249,7 +250,7 @@ def judge_supply(loop: Loop) -> None:
 
 
 @jit
-def judge_goal(loop: Loop, shared: Shared) -> None:
+def judge_goal(loop: Loop, shared: State) -> None:
     """Decide a goal whose motion is over: arrived and inside its tolerances, or stopped as asked."""
     goals, clock = loop.goals, loop.clock
     if not runs(loop):
@@ -274,7 +275,7 @@ def judge_goal(loop: Loop, shared: Shared) -> None:
 
 
 @jit
-def judge_arrival(loop: Loop, shared: Shared) -> None:
+def judge_arrival(loop: Loop, shared: State) -> None:
     """Success once every joint was measured, at rest on the last point, inside its tolerances; patience ends."""
     running = loop.paths[loop.goals.active]
     if running.phase == Phase.PAUSED:

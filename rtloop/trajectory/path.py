@@ -5,12 +5,11 @@ the plan begins, and decays to nothing. The arm follows plan(clock) + blend(cloc
 trajectory clock shows (`rtloop.trajectory.clock`). How a blend is chosen is told in `rtloop.trajectory.entry`.
 """
 
-from typing import Any
-
 from compilation.jit import jit
 from motion import segment, stopping
 from rtloop.memory.motion import WINDOW_WAYPOINTS
 from rtloop.memory.state import Loop
+from shm.layout import SetpointJoint
 
 linear = jit(segment.linear)
 cubic = jit(segment.cubic)
@@ -132,7 +131,7 @@ def plan_coefficients(loop: Loop, path_index: int, joint: int, waypoint: int) ->
 
 
 @jit
-def straight_on(loop: Loop, last: Any, t: float) -> tuple[float, float, float]:
+def straight_on(loop: Loop, last: SetpointJoint, t: float) -> tuple[float, float, float]:
     """Beyond the last point of a stream, t ≥ 0 s after it: its acceleration fades, its velocity stays."""
     fade_s = fade_duration_s(loop.params.period_ns * 1e-9)
     p, v, a = fade(last.acceleration_rad_s2, fade_s, min(t, fade_s))

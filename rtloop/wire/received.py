@@ -8,19 +8,19 @@ from typing import Any
 
 from compilation.jit import jit
 from rtloop.memory.link import RX_BYTES, RX_CHUNKS
-from rtloop.memory.record import offset_of
-from rtloop.memory.state import LOOP, Loop
+from rtloop.memory.state import Loop
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
+from shm.record import offset_of
 
-_ARRIVED = offset_of(LOOP, "received", "arrived", "bytes")
-_CHUNKS_ARRIVED = offset_of(LOOP, "received", "arrived", "chunks")
-_LOST = offset_of(LOOP, "received", "arrived", "lost")
-_DROPPED = offset_of(LOOP, "received", "arrived", "dropped")
-_UNSENT = offset_of(LOOP, "received", "arrived", "unsent")
-_WOKE = offset_of(LOOP, "received", "arrived", "woke_ns")
-_CLOSED = offset_of(LOOP, "received", "arrived", "closed")
-_TAKEN = offset_of(LOOP, "received", "taken", "bytes")
-_CHUNKS_TAKEN = offset_of(LOOP, "received", "taken", "chunks")
+_ARRIVED = offset_of(Loop, "received", "arrived", "bytes")
+_CHUNKS_ARRIVED = offset_of(Loop, "received", "arrived", "chunks")
+_LOST = offset_of(Loop, "received", "arrived", "lost")
+_DROPPED = offset_of(Loop, "received", "arrived", "dropped")
+_UNSENT = offset_of(Loop, "received", "arrived", "unsent")
+_WOKE = offset_of(Loop, "received", "arrived", "woke_ns")
+_CLOSED = offset_of(Loop, "received", "arrived", "closed")
+_TAKEN = offset_of(Loop, "received", "taken", "bytes")
+_CHUNKS_TAKEN = offset_of(Loop, "received", "taken", "chunks")
 
 
 @jit

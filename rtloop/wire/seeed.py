@@ -9,9 +9,10 @@ bytes as are requested, they are skipped.
 from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.link import TX_BYTES
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.wire import framed
 from rtloop.wire.found import FRAME, NOTHING
+from shm.layout import State
 
 START, END = 0xAA, 0x55
 LONGEST_FRAME_BYTES = 15
@@ -49,7 +50,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
 
 @jit
-def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
+def next_frame(loop: Loop, shared: State, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME, id, kind, length, data) of the next data frame in the receive ring up to `end`, or NOTHING.
 
     The bytes up to the end of the frame are consumed; bytes that belong to no frame are counted as a wire error. Remote

@@ -5,9 +5,10 @@ The file of a wire has `encode_frame` and `next_frame` for its own bytes.
 
 from compilation.jit import jit
 from rtloop.memory.link import WIRE_AT, WIRE_SEEED, WIRE_SLCAN
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.wire import at_frames, can_frame, seeed, slcan
 from rtloop.wire.found import NOTHING
+from shm.layout import State
 
 
 @jit
@@ -29,7 +30,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
 
 @jit
-def next_frame(loop: Loop, shared: Shared, end: int) -> tuple[int, int, int, int, int]:
+def next_frame(loop: Loop, shared: State, end: int) -> tuple[int, int, int, int, int]:
     """(found.…, id, kind, length, data) of the next frame in the receive ring up to `end`; invalid bytes are counted.
 
     NOTHING once all bytes up to `end` are consumed; the beginning of an incomplete frame is kept for the next call.

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from shm import layout
+from shm.record import offset_of
 
 HEADS = [
-    layout.COMMAND.fields[name][1] // 8
+    offset_of(layout.Command, name) // 8
     for name in ("heartbeat_ns", "announced_goal", "setpoints_written", "requests_written")
 ]
 

@@ -14,11 +14,12 @@ from compilation.jit import jit
 from rtloop.commands import orders
 from rtloop.cycle import step
 from rtloop.memory.modes import change_mode
-from rtloop.memory.record import offset_of
-from rtloop.memory.state import LOOP, Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.trajectory.phases import runs, waits
 from shm import layout
 from shm.atomics import load_relaxed, store_relaxed
+from shm.layout import State
+from shm.record import offset_of
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint
 
@@ -35,7 +36,7 @@ ROUNDING = 1.0 + 1e-6
 WHOLE_FILE, MOSTLY_SOUND, WELL_MADE = range(3)
 """How hostile a writer is: bits and heads anywhere; one corrupt thing now and then; only the numbers are hostile."""
 
-_COMMAND = layout.COMMAND
+_COMMAND = layout.Command
 HEARTBEAT = offset_of(_COMMAND, "heartbeat_ns")
 _ANNOUNCED = offset_of(_COMMAND, "announced_goal")
 _WRITTEN = offset_of(_COMMAND, "setpoints_written")
@@ -46,17 +47,17 @@ _SPEED_SCALE = offset_of(_COMMAND, "speed_scale")
 _CANCELED_GOALS = offset_of(_COMMAND, "canceled_goals")
 _CANCELED_THROUGH = offset_of(_COMMAND, "canceled_through")
 _REQUESTS_WRITTEN = offset_of(_COMMAND, "requests_written")
-_ROWS_AT = offset_of(layout.SETPOINT, "joints")
+_ROWS_AT = offset_of(layout.Setpoint, "joints")
 _KINDS = max(Request) + 1
 _REQUESTS = offset_of(_COMMAND, "requests")
 _SETPOINTS = offset_of(_COMMAND, "setpoints")
-_RECORD_BYTES = layout.SETPOINT.itemsize
-_REQUEST_BYTES = layout.REQUEST.itemsize
-_REQUEST_EPOCH = offset_of(layout.REQUEST, "epoch")
-_HEAD_WORDS = offset_of(layout.SETPOINT, "joints") // 8
-_COMMAND_WORDS = _COMMAND.itemsize // 8
-_WAYPOINTS, _HISTORY = offset_of(LOOP, "waypoints"), offset_of(LOOP, "history")
-_LAST = offset_of(LOOP, "service_in")
+_RECORD_BYTES = layout.Setpoint.dtype.itemsize
+_REQUEST_BYTES = layout.Request.dtype.itemsize
+_REQUEST_EPOCH = offset_of(layout.Request, "epoch")
+_HEAD_WORDS = offset_of(layout.Setpoint, "joints") // 8
+_COMMAND_WORDS = _COMMAND.dtype.itemsize // 8
+_WAYPOINTS, _HISTORY = offset_of(Loop, "waypoints"), offset_of(Loop, "history")
+_LAST = offset_of(Loop, "service_in")
 _WAYPOINT = int(Setpoint.WAYPOINT)
 _CASE_RECORDS = 1 << 16
 """Records of one case lie this far from those of the next, so that none of an earlier one can be taken for its own."""
@@ -319,7 +320,7 @@ def write_hostile(loop: Loop, command: int, how: int, goal: int, box: np.ndarray
 
 
 @jit
-def bring_up(loop: Loop, shared: Shared) -> None:
+def bring_up(loop: Loop, shared: State) -> None:
     """What the conversation in ordinary Python does for a mock arm."""
     orders.begin_bring_up(loop, shared)
     if loop.mode == Mode.BRINGING_UP:
@@ -382,7 +383,7 @@ _MODES, _FAULTS, _OUTCOMES, _ANSWERS = (int(max(words)) for words in (Mode, Faul
 
 
 @jit
-def words_known(loop: Loop, shared: Shared, seen: np.ndarray) -> bool:
+def words_known(loop: Loop, shared: State, seen: np.ndarray) -> bool:
     """Whether everything the loop has decided has a name; notes what it was."""
     known = word_seen(loop.mode, _MODES, seen, 0) and word_seen(loop.fault.code, _FAULTS, seen, 1)
     for i in range(layout.RESULT_SLOTS):
@@ -416,9 +417,7 @@ def standing(loop: Loop) -> np.ndarray:
 
 
 @jit
-def run_case(
-    loop: Loop, shared: Shared, fresh: int, seed: int, case: int, seen: np.ndarray, verdict: np.ndarray
-) -> int:
+def run_case(loop: Loop, shared: State, fresh: int, seed: int, case: int, seen: np.ndarray, verdict: np.ndarray) -> int:
     """Run one case; what it is guilty of. `fresh` is the address of a loop's memory as it should begin."""
     np.random.seed((seed * 1_000_003 + case) & 0xFFFFFFFF)
     refresh(loop, fresh, case)
@@ -463,7 +462,7 @@ def clear_fault(command: int) -> None:
 @jit
 def run_cases(
     loop: Loop,
-    shared: Shared,
+    shared: State,
     fresh: int,
     seed: int,
     first: int,
@@ -481,7 +480,7 @@ def run_cases(
 
 
 @jit
-def follow(loop: Loop, shared: Shared, start_ns: int, most_cycles: int, verdict: np.ndarray) -> int:
+def follow(loop: Loop, shared: State, start_ns: int, most_cycles: int, verdict: np.ndarray) -> int:
     """Let the goal in the ring be executed under the judge's eyes until nothing moves; what it is guilty of."""
     before = standing(loop)
     now_ns = start_ns

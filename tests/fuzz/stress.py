@@ -20,19 +20,20 @@ from compilation.jit import jit
 from config.loader import load_arm
 from rtloop.memory.events import record_event
 from rtloop.memory.link import RX_BYTES, RX_CHUNKS, SERVICE_SLOTS
-from rtloop.memory.record import offset_of
-from rtloop.memory.state import LOOP, Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.process.initial_state import new_loop
 from rtloop.service import rings
 from rtloop.service.port import IN, TAKEN, WRITTEN
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
+from shm.layout import State
+from shm.record import offset_of
 from shm.seqlock import copy_words, publish, read
 
-_EVENTS_WRITTEN = offset_of(layout.STATE, "events_written")
-_EVENTS = offset_of(layout.STATE, "events")
-_EVENT_BYTES = layout.EVENT.itemsize
+_EVENTS_WRITTEN = offset_of(layout.State, "events_written")
+_EVENTS = offset_of(layout.State, "events")
+_EVENT_BYTES = layout.Event.dtype.itemsize
 MOST_EVENTS_BEHIND = layout.EVENT_SLOTS - 8
 
 
@@ -94,8 +95,8 @@ def push_bytes(table: int, loop: Loop, source: np.ndarray) -> int:
     return at
 
 
-_TAKEN_BYTES = offset_of(LOOP, "received", "taken", "bytes")
-_TAKEN_CHUNKS = offset_of(LOOP, "received", "taken", "chunks")
+_TAKEN_BYTES = offset_of(Loop, "received", "taken", "bytes")
+_TAKEN_CHUNKS = offset_of(Loop, "received", "taken", "chunks")
 
 
 @jit
@@ -149,7 +150,7 @@ def obey_orders(table: int, loop: Loop, count: int) -> int:
 
 
 @jit
-def write_events(table: int, loop: Loop, shared: Shared) -> int:
+def write_events(table: int, loop: Loop, shared: State) -> int:
     """Record events until told to stop; how many."""
     number = 0
     while load_relaxed(table) == 0:
@@ -279,7 +280,7 @@ def orders(reads: int) -> Counted:
 
 def events(reads: int) -> Counted:
     """The event ring, which is overwritten from the oldest."""
-    state = np.zeros(1, layout.STATE)
+    state = np.zeros(1, layout.State.dtype)
     loop = new_loop(load_arm("mock"), state.ctypes.data, 0)
     target = np.zeros(16, np.int64)
     return pair(

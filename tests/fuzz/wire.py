@@ -15,10 +15,11 @@ from rtloop.bus.measured import whose
 from rtloop.cycle import step
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.link import WIRE_SLCAN
-from rtloop.memory.state import Loop, Shared
+from rtloop.memory.state import Loop
 from rtloop.service.port import OUT, TAKEN, WRITTEN
 from rtloop.wire import received
 from shm.atomics import store_relaxed
+from shm.layout import State
 
 CYCLES = 40
 MOST_BYTES = 2048
@@ -195,7 +196,7 @@ def judge_bytes(loop: Loop, count: int, verdict: np.ndarray) -> int:
 
 @jit
 def run_case(
-    loop: Loop, shared: Shared, fresh: int, seed: int, case: int, seen: np.ndarray, verdict: np.ndarray, out: np.ndarray
+    loop: Loop, shared: State, fresh: int, seed: int, case: int, seen: np.ndarray, verdict: np.ndarray, out: np.ndarray
 ) -> int:
     """Run one case; what it is guilty of."""
     np.random.seed((seed * 1_000_003 + case) & 0xFFFFFFFF)
@@ -234,7 +235,7 @@ def run_case(
 @jit
 def run_cases(
     loop: Loop,
-    shared: Shared,
+    shared: State,
     fresh: int,
     seed: int,
     first: int,

@@ -14,6 +14,7 @@ import numpy as np
 
 from config.loader import arm_hash, load_arm
 from shm import files, layout
+from shm.record import offset_of
 from shm.words import Answer, DriveStatus, Fault, Mode, Outcome, Phase, Request, Setpoint, Unreferenced
 
 BRING_UP_CYCLES = 5
@@ -28,7 +29,7 @@ class FakeLoop(threading.Thread):
         identity = files.Identity(arm.name, tuple(j.name for j in arm.joints), arm_hash(arm), self.period_ns)
         self.files = files.create(identity)
         self.state, self.command = self.files.state.record, self.files.command.record
-        self.snapshot = np.zeros(1, layout.SNAPSHOT)[0]
+        self.snapshot = np.zeros(1, layout.Snapshot.dtype)[0]
         rows = self.snapshot["joints"][: self.joints]
         rows["referenced"] = 1
         for word in ("measured_effort", "drive_temperature_c", "drive_voltage_v"):
@@ -104,7 +105,7 @@ class FakeLoop(threading.Thread):
     def take_setpoints(self):
         while self.taken < self.command["setpoints_written"][0]:
             slot = self.command["setpoints"][self.taken % layout.SETPOINT_SLOTS]
-            raw = slot.tobytes()[: layout.used_bytes(layout.SETPOINT, self.joints)]
+            raw = slot.tobytes()[: layout.used_bytes(layout.Setpoint, self.joints)]
             assert int.from_bytes(raw[:8], "little") == zlib.crc32(raw[8:])
             assert slot["sequence"] == self.taken
             self.taken += 1
@@ -113,7 +114,7 @@ class FakeLoop(threading.Thread):
             if goal_id < self.command["announced_goal"][0]:
                 continue
             if kind == Setpoint.BEGIN:
-                begin = slot.copy().view(layout.BEGIN)
+                begin = slot.copy().view(layout.Begin.dtype)
                 self.goals[goal_id] = {"begin": begin, "times": [], "points": [], "ended": False}
                 self.newest = goal_id
                 if self.is_canceled(goal_id):
@@ -253,9 +254,9 @@ class FakeLoop(threading.Thread):
         self.snapshot["mode"], self.snapshot["goal_phase"] = Mode.HOLDING, Phase.NONE
 
     def write(self):
-        used = layout.used_bytes(layout.SNAPSHOT, self.joints)
+        used = layout.used_bytes(layout.Snapshot, self.joints)
         raw = self.snapshot.tobytes()[:used]
-        at = layout.STATE.fields["snapshot"][1]
+        at = offset_of(layout.State, "snapshot")
         target = self.files.state.array.view(np.uint8)
         self.state["snapshot_sequence"][0] += 1
         target[at + 8 : at + used] = np.frombuffer(raw[8:], np.uint8)

@@ -320,7 +320,7 @@ class Loop:
     """What a control process would show of a gripper, and the requests it got."""
 
     def __init__(self) -> None:
-        self.record = np.zeros((), layout.GRIPPER)
+        self.record = np.zeros((), layout.Gripper.dtype)
         self.record["written"], self.record["position_rad"] = 1, math.nan
         self.requests: list[tuple[Request, float, float]] = []
         self.refusal = ""

@@ -85,7 +85,7 @@ def of_status() -> Reports:
         arm.snapshot["fault"], arm.snapshot["fault_ns"] = Fault.FOLLOWING_ERROR, now_ns
         result = arm.snapshot["results"][0]
         result["goal_id"], result["outcome"], result["monotonic_ns"] = 1, Outcome.SUCCEEDED, now_ns
-        gripper = np.zeros((), layout.GRIPPER)
+        gripper = np.zeros((), layout.Gripper.dtype)
         gripper["written"], gripper["grip"] = 1, Grip.STALLED
         show_gripper(arm.files.state.array, gripper)
         arm.publish()

@@ -27,7 +27,7 @@ def loaded() -> Loaded:
     records["monotonic_ns"] = START_NS + PERIOD_NS * np.arange(3)
     records["mode"] = Mode.HOLDING, Mode.HOLDING, Mode.FAULT
     records["fault"][2], records["fault_ns"][2] = Fault.WIRE, records["monotonic_ns"][2]
-    events = np.zeros(1, layout.EVENT)
+    events = np.zeros(1, layout.Event.dtype)
     events["kind"], events["code"], events["monotonic_ns"] = Event.FAULT, Fault.WIRE, records["monotonic_ns"][2]
     recording = Recording(
         arm="recorded",
@@ -37,13 +37,13 @@ def loaded() -> Loaded:
         period_ns=PERIOD_NS,
         bitrate=500_000,
         records=records,
-        frames=np.zeros(0, layout.BUS_FRAME),
+        frames=np.zeros(0, layout.BusFrame.dtype),
         events=events,
-        limits=np.zeros((), layout.LIMITS),
-        identifiers=np.zeros(0, layout.IDENTIFIERS),
-        scheduling=np.zeros((), layout.SCHEDULING),
-        lateness=np.zeros((), layout.HISTOGRAM),
-        cycle_time=np.zeros((), layout.HISTOGRAM),
+        limits=np.zeros((), layout.Limits.dtype),
+        identifiers=np.zeros(0, layout.Identifiers.dtype),
+        scheduling=np.zeros((), layout.Scheduling.dtype),
+        lateness=np.zeros((), layout.Histogram.dtype),
+        cycle_time=np.zeros((), layout.Histogram.dtype),
     )
     return Loaded(recording, REASON, "")
 

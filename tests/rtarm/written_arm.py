@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from shm import files, layout
+from shm.record import offset_of
 from shm.words import Mode, Request
 
 JOINTS = ("shoulder", "elbow")
@@ -26,7 +27,7 @@ class WrittenArm:
         self.files = files.create(identity)
         self.state = self.files.state.record
         self.command = self.files.command.record
-        self.snapshot = np.zeros(1, layout.SNAPSHOT)[0]
+        self.snapshot = np.zeros(1, layout.Snapshot.dtype)[0]
         self.snapshot["mode"] = Mode.HOLDING
         self.snapshot["speed_scale"] = 1.0
         self.rows = self.snapshot["joints"][: len(JOINTS)]
@@ -43,9 +44,9 @@ class WrittenArm:
         self.snapshot["cycle"] += 1
         self.snapshot["monotonic_ns"] = now_ns
         self.rows["measured_ns"] = now_ns - 1_000_000 if read else 0
-        used = layout.used_bytes(layout.SNAPSHOT, len(JOINTS))
+        used = layout.used_bytes(layout.Snapshot, len(JOINTS))
         body = self.snapshot.tobytes()[8:used]
-        at = layout.STATE.fields["snapshot"][1]
+        at = offset_of(layout.State, "snapshot")
         self.state["snapshot_sequence"][0] += 1
         target = self.files.state.array.view(np.uint8)
         target[at : at + used] = np.frombuffer(zlib.crc32(body).to_bytes(8, "little") + body, np.uint8)

@@ -25,10 +25,11 @@ from compilation import cache
 from compilation.jit import jit
 from config.loader import load_arm
 from rtloop import cycle
-from rtloop.memory.record import offset_of
+from rtloop.memory.state import Loop
 from rtloop.process import entries
 from rtloop.process.run import run
 from rtloop.system import realtime
+from shm.record import offset_of
 from shm.words import Mode, Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -220,7 +221,7 @@ def test_holding_the_gil_for_two_seconds_costs_no_cycle():
             if late == 0:
                 break
     finally:
-        entries.store_word(arm.loop.ctypes.data + offset_of(arm.loop.dtype, "stop"), 1)
+        entries.store_word(arm.loop.ctypes.data + offset_of(Loop, "stop"), 1)
         thread.join()
         arm.close()
     assert min(missed) == 0, f"cycles missed in windows of two seconds: {missed}"

@@ -10,18 +10,18 @@ from typing import Any
 
 from compilation.jit import jit
 from config.loader import load_arm
-from rtloop.memory.record import offset_of
 from rtloop.memory.recorder import record_cycle, record_frame
-from rtloop.memory.state import LOOP
+from rtloop.memory.state import Loop
 from rtloop.process.initial_state import new_loop
 from shm import files, layout
 from shm.atomics import store_relaxed
+from shm.record import offset_of
 from shm.seqlock import crc32_at
 
 PERIOD_NS = 200_000_000
 """So long that the rings are small and soon full."""
-SNAPSHOT = offset_of(LOOP, "snapshot")
-DECISIONS = offset_of(layout.SNAPSHOT, "cycle") - 8
+SNAPSHOT = offset_of(Loop, "snapshot")
+DECISIONS = offset_of(layout.Snapshot, "cycle") - 8
 
 
 @jit
@@ -50,7 +50,7 @@ def main(arm_name: str) -> None:
     identity = files.Identity(arm_name, tuple(joint.name for joint in arm.joints), 1, PERIOD_NS, 500_000)
     pair = files.create(identity)
     loop = new_loop(arm, pair.state.address, pair.command.address)
-    words = layout.used_bytes(layout.SNAPSHOT, len(arm.joints)) // 8
+    words = layout.used_bytes(layout.Snapshot, len(arm.joints)) // 8
     record_one(loop[0], pair.state.array[0], 0, words)  # compiled before it is said to be ready
     pair.state.record["records_written"][0] = pair.state.record["frames_written"][0] = 0
     arguments = (loop[0], pair.state.array[0], words)

@@ -12,15 +12,15 @@ import threading
 import numpy as np
 
 from compilation.jit import jit
-from rtloop.memory.record import offset_of
 from shm import files, layout
 from shm.atomics import fence_release, load_relaxed, store_relaxed
+from shm.record import offset_of
 from shm.seqlock import copy_words, crc32_at, publish
 
 JOINTS = 6
-WORDS = layout.used_bytes(layout.SNAPSHOT, JOINTS) // 8
-SEQUENCE = offset_of(layout.STATE, "snapshot_sequence")
-SNAPSHOT = offset_of(layout.STATE, "snapshot")
+WORDS = layout.used_bytes(layout.Snapshot, JOINTS) // 8
+SEQUENCE = offset_of(layout.State, "snapshot_sequence")
+SNAPSHOT = offset_of(layout.State, "snapshot")
 
 
 @jit

@@ -20,7 +20,7 @@ from shm.files import MemoryFile
 from shm.words import Entry, Request, Setpoint
 
 JOINTS = 3
-USED = layout.used_bytes(layout.SETPOINT, JOINTS)
+USED = layout.used_bytes(layout.Setpoint, JOINTS)
 
 
 def private_file(dtype):
@@ -35,19 +35,19 @@ def private_file(dtype):
 
 @pytest.fixture
 def writer():
-    made = CommandWriter(private_file(layout.COMMAND))
+    made = CommandWriter(private_file(layout.Command.dtype))
     yield made
     made.close()
 
 
 @pytest.fixture
 def reader():
-    made = StateReader(private_file(layout.STATE))
+    made = StateReader(private_file(layout.State.dtype))
     yield made
     made.close()
 
 
-def slot(writer, sequence, dtype=layout.SETPOINT):
+def slot(writer, sequence, dtype=layout.Setpoint.dtype):
     return writer.memory.record["setpoints"][sequence % layout.SETPOINT_SLOTS].view(dtype)
 
 
@@ -72,7 +72,7 @@ def test_a_goal_record_by_record(writer):
     writer.end(12, 2 * tolerances, 0)
     assert writer.announced_goal == 12 and writer.setpoints_written == 3
 
-    begin = slot(writer, 0, layout.BEGIN)
+    begin = slot(writer, 0, layout.Begin.dtype)
     names = ("sequence", "goal_id", "kind", "start_ns", "joint_mask", "entry", "epoch")
     assert [int(begin[name]) for name in names] == [0, 12, Setpoint.BEGIN, 99, 0b101, 1, 7]
     assert begin["goal_time_s"] == 0.4
@@ -97,7 +97,7 @@ def test_a_goal_record_by_record(writer):
     values=st.lists(st.floats(), min_size=3 * JOINTS, max_size=3 * JOINTS),
 )
 def test_every_waypoint_arrives_bit_by_bit(time_ns, order, values):
-    writer = CommandWriter(private_file(layout.COMMAND))
+    writer = CommandWriter(private_file(layout.Command.dtype))
     waypoint = np.array(values).reshape(JOINTS, 3)
     writer.waypoint(1, time_ns, order, waypoint, 0)
     record = slot(writer, 0)
@@ -139,7 +139,7 @@ def test_requests_are_numbered_from_one(writer):
     first, second = writer.memory.record["requests"][:2]
     assert (first["sequence"], first["kind"], first["value"]) == (1, Request.REFERENCE, 0.25)
     assert (second["sequence"], second["kind"], second["joint_mask"]) == (2, Request.HOME, 9)
-    assert is_whole(first, layout.REQUEST.itemsize) and is_whole(second, layout.REQUEST.itemsize)
+    assert is_whole(first, layout.Request.dtype.itemsize) and is_whole(second, layout.Request.dtype.itemsize)
     assert second["monotonic_ns"] >= first["monotonic_ns"] > 0
 
 
@@ -156,7 +156,7 @@ def test_a_full_request_ring_refuses_the_asker_and_overwrites_nothing(writer):
 @given(st.lists(st.sampled_from(["stop", "hold", "resume"]), min_size=1, max_size=8), st.integers(0, 2**63 - 1))
 def test_a_resume_is_later_than_every_stop_and_hold_before_it(asked, spoilt_ns):
     """Also where the file holds a time that has not come yet."""
-    writer = CommandWriter(private_file(layout.COMMAND))
+    writer = CommandWriter(private_file(layout.Command.dtype))
     record = writer.memory.record
     record["hold_ns"][0] = spoilt_ns
     for name in asked:
@@ -220,7 +220,7 @@ def test_producers_in_several_processes_never_take_the_same_number(arm_name):
     assert record["requests_written"][0] == producers * requests
     owner = {number: index for index, numbers in enumerate(taken) for number in numbers}
     for request in record["requests"]:
-        assert is_whole(request, layout.REQUEST.itemsize)
+        assert is_whole(request, layout.Request.dtype.itemsize)
         assert request["joint_mask"] == owner[int(request["sequence"])]
     pair.remove()
 
@@ -240,7 +240,7 @@ def publish(reader, sequence=2, **words):
     record = reader.memory.record
     for name, value in words.items():
         record["snapshot"][name] = value
-    used = layout.used_bytes(layout.SNAPSHOT, JOINTS)
+    used = layout.used_bytes(layout.Snapshot, JOINTS)
     record["snapshot"]["crc"] = zlib.crc32(record["snapshot"].tobytes()[8:used])
     record["snapshot_sequence"][0] = sequence
 

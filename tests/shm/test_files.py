@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ARM_HASH = 0x1234_5678_9ABC
 PERIOD_NS, BITRATE = 8_333_333, 500_000
 RINGS = layout.rings(2, PERIOD_NS, BITRATE)
+FIXED = layout.State.dtype.itemsize
 
 
 def identity(arm):
@@ -95,7 +96,7 @@ def loop_process(swept):
 
 
 def test_files_are_private_complete_and_described(created, arm_name):
-    for memory, size in ((created.state, RINGS.file_bytes), (created.command, layout.COMMAND.itemsize)):
+    for memory, size in ((created.state, RINGS.file_bytes), (created.command, layout.Command.dtype.itemsize)):
         status = os.stat(memory.path, follow_symlinks=False)
         assert stat.S_ISREG(status.st_mode) and stat.S_IMODE(status.st_mode) == 0o600
         assert status.st_size == len(memory.map) == size
@@ -110,7 +111,7 @@ def test_files_are_private_complete_and_described(created, arm_name):
     recorder = created.state.record["recorder"]
     assert [int(recorder[name]) for name in RINGS._fields] == list(RINGS)
     start, size = created.state.rings
-    assert (start, size) == (created.state.address + layout.STATE.itemsize, RINGS.file_bytes - layout.STATE.itemsize)
+    assert (start, size) == (created.state.address + FIXED, RINGS.file_bytes - FIXED)
 
 
 def test_an_orderly_end_leaves_nothing(arm_name):
@@ -198,7 +199,7 @@ def test_another_layout_is_refused_naming_both(created, arm_name, monkeypatch):
         files.open_state(arm_name)
 
 
-@pytest.mark.parametrize("content", [b"", b"short", bytes(layout.STATE.itemsize)], ids=["empty", "short", "zeros"])
+@pytest.mark.parametrize("content", [b"", b"short", bytes(FIXED)], ids=["empty", "short", "zeros"])
 def test_a_file_that_is_not_ours_is_refused(swept, content):
     path = files.state_path(swept)
     path.write_bytes(content)
@@ -207,7 +208,7 @@ def test_a_file_that_is_not_ours_is_refused(swept, content):
         files.open_state(swept)
 
 
-@pytest.mark.parametrize("size", [RINGS.file_bytes + 8, RINGS.file_bytes - 8, layout.STATE.itemsize])
+@pytest.mark.parametrize("size", [RINGS.file_bytes + 8, RINGS.file_bytes - 8, FIXED])
 def test_a_file_of_another_size_is_refused(created, arm_name, size):
     os.truncate(created.state.path, size)
     with pytest.raises(WrongLayout):
@@ -289,7 +290,7 @@ def test_a_killed_loop_lets_go_and_its_state_is_kept(loop_process, swept):
     assert swept not in files.running_arms()
     successor = files.create(identity(swept))
     kept = files.state_path(swept).with_name(f"rtarm.{swept}.state.prev")
-    header = np.fromfile(kept, layout.HEADER, count=1)[0]
+    header = np.fromfile(kept, layout.Header.dtype, count=1)[0]
     assert header["pid"] == loop_process.pid
     assert successor.state.record["header"]["pid"] == os.getpid()
     with contextlib.closing(files.left_behind(swept)) as living:

@@ -42,7 +42,7 @@ def test_the_largest_duration_there_is_has_a_bucket():
 
 
 def filled(values):
-    record = np.zeros(1, layout.HISTOGRAM)[0]
+    record = np.zeros(1, layout.Histogram.dtype)[0]
     for value in values:
         record["buckets"][histogram.bucket(value)] += 1
     record["max_ns"], record["count"], record["sum_ns"] = max(values), len(values), sum(values)
@@ -67,4 +67,4 @@ def test_the_tail_of_a_large_sample():
 
 
 def test_nothing_recorded_is_zero():
-    assert histogram.percentiles_ns(np.zeros(1, layout.HISTOGRAM)[0], [50, 99]) == [0, 0]
+    assert histogram.percentiles_ns(np.zeros(1, layout.Histogram.dtype)[0], [50, 99]) == [0, 0]

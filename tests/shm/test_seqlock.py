@@ -111,7 +111,7 @@ def writer(arm_name):
 
 def numbers(record):
     """The distinct words of a snapshot, apart from its CRC."""
-    used = layout.used_bytes(layout.SNAPSHOT, JOINTS)
+    used = layout.used_bytes(layout.Snapshot, JOINTS)
     return set(np.frombuffer(record.tobytes()[8:used], np.int64).tolist())
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from shm import layout
+from shm.record import Record
 from shm.words import Answer, Fault, Mode, Outcome, Phase
 from transcripts import run, store, words
 from transcripts.__main__ import main
@@ -93,17 +94,17 @@ def test_recordings_show_nearly_all_that_can_happen() -> None:
 @pytest.mark.parametrize(
     ("published", "transcribed"),
     [
-        (layout.CHANGING, words.CYCLE),
-        (layout.TABLES["joint"], words.JOINT),
-        (layout.COUNTED, words.COUNTERS),
-        (layout.TABLES["gripper on the bus"], words.GRIPPER),
-        (layout.TABLES["result"], words.RESULT),
-        (layout.TABLES["answer"], words.ANSWER),
-        (layout.TABLES["event"], words.EVENT),
+        (layout.Changing, words.CYCLE),
+        (layout.Joint, words.JOINT),
+        (layout.Counted, words.COUNTERS),
+        (layout.Gripper, words.GRIPPER),
+        (layout.Result, words.RESULT),
+        (layout.Answer, words.ANSWER),
+        (layout.Event, words.EVENT),
     ],
 )
-def test_every_published_word_is_transcribed(published: list[layout.Word], transcribed: tuple[str, ...]) -> None:
-    names = {word.name for word in published} - {"crc", "joints", "padding"}
+def test_every_published_word_is_transcribed(published: type[Record], transcribed: tuple[str, ...]) -> None:
+    names = published.words.keys() - {"crc", "joints", "padding"}
     assert names == {words.RENAMED.get(name, name) for name in transcribed}
 
 

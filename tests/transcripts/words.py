@@ -78,7 +78,7 @@ def is_fast(name: str) -> bool:
 
 
 class Published:
-    """What a control process has published, read cycle by cycle from its state file's record (layout.STATE)."""
+    """What a control process has published, read cycle by cycle from its state file's record (layout.State)."""
 
     def __init__(self) -> None:
         self._cycles: list[Any] = []
@@ -130,8 +130,9 @@ class Published:
 
     def words(self) -> dict[str, np.ndarray]:
         """Every word by its recorded name, (cycles,) int64 or float64."""
-        cycles = np.array(self._cycles, layout.SNAPSHOT)
-        counters, grippers = np.array(self._counters, layout.COUNTERS), np.array(self._grippers, layout.GRIPPER)
+        cycles = np.array(self._cycles, layout.Snapshot.dtype)
+        counters = np.array(self._counters, layout.Counters.dtype)
+        grippers = np.array(self._grippers, layout.Gripper.dtype)
         found = {name: cycles[_today(name)] for name in CYCLE}
         for name in JOINT:
             for number, joint in enumerate(self.joints):

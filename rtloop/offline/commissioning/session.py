@@ -41,7 +41,7 @@ def wire_s(arm: ArmConfig, joint: int) -> float:
 
 
 class Bench(Session):
-    """A session in which one drive is checked; `recorded` returns the frames (layout.BUS_FRAME) since its last call."""
+    """A session in which one drive is checked; `recorded` returns the frames (layout.BusFrame) since its last call."""
 
     def __init__(self, *arguments: Any, recorded: Callable[[], np.ndarray], **options: Any) -> None:
         super().__init__(*arguments, **options)

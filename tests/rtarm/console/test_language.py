@@ -187,7 +187,7 @@ def test_an_unknown_language_is_refused(rtarm: Callable[..., Result]) -> None:
 @pytest.fixture
 def broken(arm: WrittenArm) -> WrittenArm:
     """A gripper that holds something, a latched fault, a joint without a reference, a drive with an error."""
-    gripper = np.zeros((), layout.GRIPPER)
+    gripper = np.zeros((), layout.Gripper.dtype)
     gripper["written"], gripper["grip"], gripper["measured_ns"] = 1, Grip.STALLED, time.monotonic_ns()
     show_gripper(arm.files.state.array, gripper)
     arm.snapshot["mode"], arm.snapshot["fault"], arm.snapshot["held"] = Mode.FAULT, Fault.FOLLOWING_ERROR, 1

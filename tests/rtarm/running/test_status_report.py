@@ -95,7 +95,7 @@ def test_an_error_of_a_drive_that_no_fault_speaks_of_is_a_problem(arm: WrittenAr
 
 def test_a_gripper_on_the_bus_is_told_of(arm: WrittenArm, rtarm: Rtarm) -> None:
     assert status.read_status(arm.name)["gripper"] is None
-    shown = np.zeros((), layout.GRIPPER)
+    shown = np.zeros((), layout.Gripper.dtype)
     shown["written"], shown["grip"], shown["measured_ns"] = 1, Grip.STALLED, time.monotonic_ns()
     shown["position_rad"], shown["target_rad"], shown["measured_effort"] = math.radians(40.0), 0.0, math.nan
     show_gripper(arm.files.state.array, shown)

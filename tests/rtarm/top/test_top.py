@@ -78,7 +78,7 @@ def watch(arm: WrittenArm) -> Iterator[Watch]:
 
 
 def event(kind: int, joint: int = -1, code: int = 0, value: float = 0.0, limit: float = 0.0) -> np.void:
-    return np.array([(1, kind, joint, code, value, limit, 0, 0)], layout.EVENT)[0]
+    return np.array([(1, kind, joint, code, value, limit, 0, 0)], layout.Event.dtype)[0]
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_whatever_stands_in_the_ring_there_are_words_for_it(
 @given(st.integers(0, 3 * layout.EVENT_SLOTS), st.integers(1, layout.EVENT_SLOTS // 2), st.integers(0, 2000))
 def test_the_newest_events_are_whole_and_in_order(written: int, count: int, meanwhile: int) -> None:
     numbers = np.arange(max(0, written - layout.EVENT_SLOTS), written)
-    ring = np.zeros(layout.EVENT_SLOTS, layout.EVENT)
+    ring = np.zeros(layout.EVENT_SLOTS, layout.Event.dtype)
     ring["code"][numbers % layout.EVENT_SLOTS] = numbers
     heads = iter(([written], [written + meanwhile]))
 

@@ -380,13 +380,13 @@ def recording() -> Iterator[Recording]:
         period_ns=10_000_000,
         bitrate=500_000,
         records=records,
-        frames=np.zeros(0, layout.BUS_FRAME),
-        events=np.zeros(0, layout.EVENT),
-        limits=np.zeros((), layout.LIMITS),
-        identifiers=np.zeros(0, layout.IDENTIFIERS),
-        scheduling=np.zeros((), layout.SCHEDULING),
-        lateness=np.zeros((), layout.HISTOGRAM),
-        cycle_time=np.zeros((), layout.HISTOGRAM),
+        frames=np.zeros(0, layout.BusFrame.dtype),
+        events=np.zeros(0, layout.Event.dtype),
+        limits=np.zeros((), layout.Limits.dtype),
+        identifiers=np.zeros(0, layout.Identifiers.dtype),
+        scheduling=np.zeros((), layout.Scheduling.dtype),
+        lateness=np.zeros((), layout.Histogram.dtype),
+        cycle_time=np.zeros((), layout.Histogram.dtype),
     )
 
 

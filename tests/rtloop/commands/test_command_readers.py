@@ -19,9 +19,10 @@ from config.schema import ArmConfig
 from rtloop.commands.setpoint_reader import CYCLES_TO_BECOME_VISIBLE, records_a_cycle
 from shm import layout
 from shm.errors import RingFull
+from shm.record import offset_of
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint
 
-BODY_AT = layout.COMMAND.fields["front_pid"][1]
+BODY_AT = offset_of(layout.Command, "front_pid")
 GOAL_S = 4.0
 
 trials = settings(
@@ -105,7 +106,7 @@ class Judged(VirtualArm):
             b"".join(struct.pack("<d" if isinstance(word, float) else "<q", word) for word in words)
             + values.astype("<f8").tobytes()
         )
-        at = layout.COMMAND.fields["setpoints"][1] + (written % layout.SETPOINT_SLOTS) * layout.SETPOINT.itemsize
+        at = offset_of(layout.Command, "setpoints") + (written % layout.SETPOINT_SLOTS) * layout.Setpoint.dtype.itemsize
         whole = struct.pack("<q", zlib.crc32(body) if crc is None else crc) + body
         self.command.map[at : at + len(whole)] = whole
         self.set_word("setpoints_written", written + 1)
@@ -561,8 +562,8 @@ def test_requests_that_say_anything(stream):
     for kind, mask, value in stream:
         packed = struct.pack("<qqdqqqq", int(arm.command.record["requests_written"][0]) + 1, kind, value, 0, mask, 0, 0)
         slot = int(arm.command.record["requests_written"][0]) % layout.REQUEST_SLOTS
-        at = layout.COMMAND.fields["requests"][1] + slot * layout.REQUEST.itemsize
-        arm.command.map[at : at + layout.REQUEST.itemsize] = struct.pack("<q", zlib.crc32(packed)) + packed
+        at = offset_of(layout.Command, "requests") + slot * layout.Request.dtype.itemsize
+        arm.command.map[at : at + layout.Request.dtype.itemsize] = struct.pack("<q", zlib.crc32(packed)) + packed
         arm.set_word("requests_written", arm.command.record["requests_written"][0] + 1)
         arm.cycle()
     arm.cycles(50)

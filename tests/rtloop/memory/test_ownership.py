@@ -1,8 +1,8 @@
 """Who stores into which part of the cycle's memory: what the records say of themselves, compared with the code.
 
 Looked at are the compiled functions, which read and write by attribute: their types are followed from the annotations
-of their parameters through local names. The copies for others (`snapshot`, `record`) and the scratch space are of
-dtypes of `shm.layout` and have no owner here.
+of their parameters through local names. Records of `shm.layout` say nothing of who writes them and have no owner here:
+the state file, and what the cycle's memory has of such records (`snapshot`, `record`, waypoints, tolerances, scratch).
 """
 
 import ast
@@ -15,8 +15,10 @@ from typing import Annotated, Any, get_args, get_origin
 import numpy as np
 import pytest
 
-from rtloop.memory.record import Record, Rows
+from rtloop.memory.record import Record
 from rtloop.memory.state import Loop
+from shm.record import Record as AnyRecord
+from shm.record import Rows
 
 ROOT = Path(__file__).parents[3]
 
@@ -24,7 +26,7 @@ ROOT = Path(__file__).parents[3]
 def records(of: type[Record] = Loop) -> Iterator[type[Record]]:
     """A record and those in it."""
     yield of
-    for hint in of.__annotations__.values():
+    for hint in of.hints.values():
         element = element_of(hint) if get_origin(hint) is Annotated else hint
         if isinstance(element, type) and issubclass(element, Record):
             yield from records(element)
@@ -51,9 +53,7 @@ class Stores(ast.NodeVisitor):
             return self.local.get(node.id)
         if isinstance(node, ast.Attribute):
             of = self.type_of(node.value)
-            if of is Any or (get_origin(of) is Annotated and get_args(of)[0] is Any):
-                return Any  # of a dtype of `shm.layout`
-            return of.__annotations__.get(node.attr) if isinstance(of, type) and issubclass(of, Record) else None
+            return of.hints.get(node.attr) if isinstance(of, type) and issubclass(of, AnyRecord) else None
         if isinstance(node, ast.Subscript):
             of = self.type_of(node.value)
             return element_of(of) if get_origin(of) is Annotated else of
@@ -90,11 +90,12 @@ class Stores(ast.NodeVisitor):
                 self.found |= {origin for origin in [self.origin_of(target)] if origin is not None}
                 return
             of = self.type_of(target.value)
-            if isinstance(of, type) and issubclass(of, Record):
-                assert target.attr in of.__annotations__, ast.unparse(target)
-                self.found.add((of, target.attr))
-            elif of is not Any and get_origin(of) is not Annotated:
+            if not (isinstance(of, type) and issubclass(of, AnyRecord)):
                 self.unknown.append(ast.unparse(target))
+                return
+            assert target.attr in of.hints, ast.unparse(target)
+            if issubclass(of, Record):
+                self.found.add((of, target.attr))
 
     def visit_Assign(self, node: ast.Assign) -> None:
         for target in node.targets:
@@ -165,4 +166,4 @@ def test_a_record_names_those_who_store_into_it(record: type[Record]) -> None:
 @pytest.mark.parametrize("record", WRITERS, ids=lambda record: record.__name__)
 def test_a_field_is_read_by_its_name_without_the_compiler_too(record: type[Record]) -> None:
     """One that is called as something that every record of numpy has would not be; the system's own are never read."""
-    assert [name for name in record.__annotations__ if hasattr(np.record, name)] in ([], ["flags"])
+    assert [name for name in record.hints if hasattr(np.record, name)] in ([], ["flags"])

@@ -32,7 +32,7 @@ def test_every_cycle_of_a_goal_is_kept_as_its_snapshot_said(arm):
     assert (found.arm, found.joints) == ("episode1", tuple(joint.name for joint in arm.arm.joints))
     assert found.records["number"].tolist() == list(range(int(arm.memory["timing"]["cycle"])))
     kept = found.records[-len(said) :]
-    for name in layout.SNAPSHOT.names[layout.SNAPSHOT.names.index("cycle") : -1]:
+    for name in layout.Snapshot.dtype.names[layout.Snapshot.dtype.names.index("cycle") : -1]:
         assert kept[name].tolist() == [
             int(one[name]) if one[name].dtype.kind == "i" else float(one[name]) for one in said
         ]
