@@ -7,6 +7,7 @@ second look, so that no data word is read after it (Boehm, "Can seqlocks get alo
 memory models?", MSPC 2012). LLVM calls the relaxed order "monotonic".
 """
 
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -51,9 +52,9 @@ def _fencer(order: str) -> Any:
     return fence
 
 
-load_acquire = _loader("acquire")
-load_relaxed = _loader("monotonic")
-store_release = _storer("release")
-store_relaxed = _storer("monotonic")
-fence_acquire = _fencer("acquire")
-fence_release = _fencer("release")
+load_acquire: Callable[[int], int] = _loader("acquire")
+load_relaxed: Callable[[int], int] = _loader("monotonic")
+store_release: Callable[[int, int], None] = _storer("release")
+store_relaxed: Callable[[int, int], None] = _storer("monotonic")
+fence_acquire: Callable[[], None] = _fencer("acquire")
+fence_release: Callable[[], None] = _fencer("release")

@@ -158,7 +158,7 @@ def judge_retarget(ran: Ran, frames: Sequence[Said], trial: Trial, sign: int) ->
 
 def _speed_at(trial: Trial, way_rev: float) -> float:
     """Speed (rpm) of the ramp from rest after a distance."""
-    return min(float(trial.rpm), (120.0 * trial.ramp_rpm_s * way_rev) ** 0.5)
+    return min(float(trial.rpm), float((120.0 * trial.ramp_rpm_s * way_rev) ** 0.5))
 
 
 def judge_power_flag(cycle: PowerCycle | None) -> Finding:
