@@ -10,8 +10,8 @@ from shm.record import offset_of
 from shm.seqlock import read
 
 READS = 10_000
-SEQUENCE = offset_of(layout.State, "snapshot_sequence")
-SNAPSHOT = offset_of(layout.State, "snapshot")
+SEQUENCE = offset_of(layout.StateFile, "snapshot_sequence")
+SNAPSHOT = offset_of(layout.StateFile, "snapshot")
 CYCLE = offset_of(layout.Snapshot, "cycle")
 
 

@@ -36,8 +36,8 @@ ROW = np.dtype(
     ]
 )
 
-_SEQUENCE = offset_of(layout.State, "snapshot_sequence")
-_SNAPSHOT = offset_of(layout.State, "snapshot")
+_SEQUENCE = offset_of(layout.StateFile, "snapshot_sequence")
+_SNAPSHOT = offset_of(layout.StateFile, "snapshot")
 
 
 @jit

@@ -37,7 +37,7 @@ MISSED = np.dtype(
 )
 MOST = 100_000
 
-_OVERRUNS = offset_of(layout.State, "counters", "overruns")
+_OVERRUNS = offset_of(layout.StateFile, "counters", "overruns")
 
 
 @jit
@@ -77,7 +77,7 @@ def main(arguments: list[str]) -> None:
     path, priority, cpu, period_ns, phase_ns, seconds, file = arguments
     with open(path, "rb") as opened:
         mapped = mmap.mmap(opened.fileno(), 0, prot=mmap.PROT_READ)
-    state = np.frombuffer(mapped, layout.State.dtype, 1)
+    state = np.frombuffer(mapped, layout.StateFile.dtype, 1)
     missed, late = np.ones(MOST, MISSED), np.ones((MOST, 2), np.int64)  # ones, so that their pages are there
     timespec = np.zeros(2, np.int64)
     rest = (state.ctypes.data, timespec.ctypes.data, int(period_ns), int(phase_ns))

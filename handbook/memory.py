@@ -13,8 +13,8 @@ from shm import layout, words
 from shm.record import Record, offset_of
 
 FILES = {
-    "state": (layout.State, "the control process"),
-    "command": (layout.Command, "the ROS process; requests also whoever holds the producers' lock"),
+    "state": (layout.StateFile, "the control process"),
+    "command": (layout.CommandFile, "the ROS process; requests also whoever holds the producers' lock"),
 }
 TYPES = {"i8": "int64", "f8": "float64", "u1": "uint8"}
 INTRODUCTION = f"""\

@@ -17,7 +17,7 @@ from rtloop.safety import monitor
 from rtloop.trajectory import goals
 from rtloop.trajectory.correction import ERROR_SHARE_1_S
 from rtloop.trajectory.phases import raise_epoch, runs
-from shm.layout import MAX_JOINTS, State
+from shm.layout import MAX_JOINTS, StateFile
 from shm.words import Event, Outcome
 
 GAP_NS = 100_000_000
@@ -25,7 +25,7 @@ GAP_NS = 100_000_000
 
 
 @jit
-def step(loop: Loop, shared: State, now_ns: int) -> int:
+def step(loop: Loop, shared: StateFile, now_ns: int) -> int:
     """Run one cycle whose planned time is now_ns; returns the bytes to write, which stand in `loop.outgoing.bytes`."""
     begin_cycle(loop, shared, now_ns)
     measured.take_what_the_bus_brought(loop, shared)
@@ -45,7 +45,7 @@ def step(loop: Loop, shared: State, now_ns: int) -> int:
 
 
 @jit
-def begin_cycle(loop: Loop, shared: State, now_ns: int) -> None:
+def begin_cycle(loop: Loop, shared: StateFile, now_ns: int) -> None:
     """The setpoint that was sent for this instant becomes the present one; a long gap ends the goal."""
     timing = loop.timing
     waited_ns = now_ns - timing.now_ns if timing.cycle > 0 else 0
@@ -80,7 +80,7 @@ def begin_cycle(loop: Loop, shared: State, now_ns: int) -> None:
 
 
 @jit
-def stand_where_the_drives_stopped(loop: Loop, shared: State, gap_ns: int) -> None:
+def stand_where_the_drives_stopped(loop: Loop, shared: StateFile, gap_ns: int) -> None:
     """After a gap longer than the drives' look-ahead: the goal is over, the arm is where it came to rest."""
     record_event(loop, shared, Event.OVERRUN, -1, gap_ns, gap_ns * 1e-9, GAP_NS * 1e-9)
     raise_epoch(loop, shared, Outcome.REFUSED_OUTDATED)  # what waited meanwhile moves nothing

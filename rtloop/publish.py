@@ -8,7 +8,7 @@ from rtloop.memory.state import Loop
 from rtloop.trajectory.path import end_s
 from rtloop.trajectory.phases import incoming, running_goal, runs
 from shm import layout
-from shm.layout import State
+from shm.layout import StateFile
 from shm.record import offset_of
 from shm.seqlock import crc32_at, publish
 
@@ -16,8 +16,8 @@ _SNAPSHOT = offset_of(Loop, "snapshot")
 _DECISION_WORDS = offset_of(layout.Snapshot, "cycle") // 8 - 1  # results and answers, behind the CRC
 _SNAPSHOT_HEAD_WORDS = offset_of(layout.Snapshot, "joints") // 8
 _SNAPSHOT_JOINT_WORDS = layout.Joint.dtype.itemsize // 8
-_SHARED_SEQUENCE = offset_of(layout.State, "snapshot_sequence")
-_SHARED_SNAPSHOT = offset_of(layout.State, "snapshot")
+_SHARED_SEQUENCE = offset_of(layout.StateFile, "snapshot_sequence")
+_SHARED_SNAPSHOT = offset_of(layout.StateFile, "snapshot")
 
 
 @jit
@@ -27,7 +27,7 @@ def phase_of(loop: Loop) -> int:
 
 
 @jit
-def publish_snapshot(loop: Loop, shared: State) -> None:
+def publish_snapshot(loop: Loop, shared: StateFile) -> None:
     """Publish the snapshot."""
     published, timing, fault, clock = loop.published, loop.timing, loop.fault, loop.clock
     operator, params, snapshot = loop.operator, loop.params, loop.snapshot

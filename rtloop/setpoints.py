@@ -13,7 +13,7 @@ from rtloop.trajectory.clock import advance_clock, along
 from rtloop.trajectory.limits import clamped_rad, hardest_rad_s2
 from rtloop.trajectory.path import find_waypoint, sample
 from rtloop.trajectory.phases import runs
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Unreferenced
 
 STILL_SHARE = 0.002
@@ -22,7 +22,7 @@ STILL_COUNTS = 3.0
 
 
 @jit
-def move(loop: Loop, shared: State) -> None:
+def move(loop: Loop, shared: StateFile) -> None:
     """Make the next setpoint; one that breaks a limit is replaced by braking from the present one."""
     motion = loop.motion
     if motion.resync_ns != 0:

@@ -23,19 +23,19 @@ MOST_WRITTEN = 1 << 62
 GOALS_AHEAD = 1_000_000
 """Goal ids rise by one; a word that is this far ahead of all others was not written by a front."""
 
-_SNAPSHOT_AT = offset_of(layout.State, "snapshot")
-_SEQUENCE_AT = offset_of(layout.State, "snapshot_sequence") // 8
-_SETPOINTS_CONSUMED_AT = offset_of(layout.State, "consumed", "setpoints") // 8
-_REQUESTS_CONSUMED_AT = offset_of(layout.State, "consumed", "requests") // 8
+_SNAPSHOT_AT = offset_of(layout.StateFile, "snapshot")
+_SEQUENCE_AT = offset_of(layout.StateFile, "snapshot_sequence") // 8
+_SETPOINTS_CONSUMED_AT = offset_of(layout.StateFile, "consumed", "setpoints") // 8
+_REQUESTS_CONSUMED_AT = offset_of(layout.StateFile, "consumed", "requests") // 8
 _COMMAND_WORD = {
-    name: offset_of(layout.Command, name) // 8
+    name: offset_of(layout.CommandFile, name) // 8
     for name in (
         *("heartbeat_ns", "announced_goal", "setpoints_written", "requests_written"),
         *("stop_ns", "hold_ns", "resume_ns", "speed_scale", "canceled_through", "canceled_goals"),
     )
 }
-_REQUESTS_AT = offset_of(layout.Command, "requests")
-_SETPOINTS_AT = offset_of(layout.Command, "setpoints")
+_REQUESTS_AT = offset_of(layout.CommandFile, "requests")
+_SETPOINTS_AT = offset_of(layout.CommandFile, "setpoints")
 _BEGIN_HEAD = struct.Struct("<qqqqqqdqq")
 _WAYPOINT_HEAD = struct.Struct("<qqqqqqqqq")
 _REQUEST = struct.Struct("<qqqdqqqd")

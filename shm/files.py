@@ -369,11 +369,11 @@ def create(identity: Identity) -> LoopFiles:
     Raises AlreadyHeld when another control process drives this arm.
     """
     rings = layout.rings(len(identity.joints), identity.period_ns, identity.bitrate)
-    state = _build_aside(state_path(identity.arm), layout.State.dtype, rings.file_bytes, identity)
+    state = _build_aside(state_path(identity.arm), layout.StateFile.dtype, rings.file_bytes, identity)
     command = None
     try:
         state.record["recorder"] = rings.described()
-        commands = layout.Command.dtype
+        commands = layout.CommandFile.dtype
         command = _build_aside(command_path(identity.arm), commands, commands.itemsize, identity)
         kept = _put_in_place(state, state_path(identity.arm))
         path = command_path(identity.arm)
@@ -442,7 +442,7 @@ def _size_said(header: np.void, dtype: np.dtype) -> int:
     joints, period_ns, bitrate = (int(header[name]) for name in ("joint_count", "period_ns", "bitrate"))
     if not 0 < joints <= layout.MAX_JOINTS or period_ns <= 0:
         return -1
-    return layout.rings(joints, period_ns, bitrate).file_bytes if dtype is layout.State.dtype else dtype.itemsize
+    return layout.rings(joints, period_ns, bitrate).file_bytes if dtype is layout.StateFile.dtype else dtype.itemsize
 
 
 def require_not_running(arm: str) -> None:
@@ -468,7 +468,7 @@ def _already_running(pid: int, path: Path) -> AlreadyHeld:
 
 def open_state(arm: str, arm_hash: int | None = None) -> MemoryFile:
     """Map the state file read-only; raises NotRunning when no control process holds it."""
-    memory = _open(state_path(arm), layout.State.dtype, arm, None, writable=False)
+    memory = _open(state_path(arm), layout.StateFile.dtype, arm, None, writable=False)
     if not is_held(memory.fd):  # before its configuration: whoever starts the arm again may have changed the file
         header = memory.record["header"]
         gone = NotRunning(
@@ -495,9 +495,9 @@ def left_behind(arm: str) -> MemoryFile:
     """
     path = state_path(arm)
     try:
-        return _open(path, layout.State.dtype, arm, None, writable=False)
+        return _open(path, layout.StateFile.dtype, arm, None, writable=False)
     except NotRunning:
-        return _open(previous_path(arm), layout.State.dtype, arm, None, writable=False)
+        return _open(previous_path(arm), layout.StateFile.dtype, arm, None, writable=False)
 
 
 class Died(NamedTuple):
@@ -514,7 +514,7 @@ def died_with(arm: str) -> Died | None:
     One that ended in order, or was refused before it was in service, is none.
     """
     try:
-        memory = _open(state_path(arm), layout.State.dtype, arm, None, writable=False)
+        memory = _open(state_path(arm), layout.StateFile.dtype, arm, None, writable=False)
     except SharedMemoryError:
         return None
     try:
@@ -528,7 +528,7 @@ def died_with(arm: str) -> Died | None:
 
 def inherited_state(fd: int, arm: str) -> MemoryFile:
     """Map, read-only, a state file that another process has opened; it may have no name any more."""
-    return _attach(state_path(arm), fd, layout.State.dtype, arm, None, writable=False)
+    return _attach(state_path(arm), fd, layout.StateFile.dtype, arm, None, writable=False)
 
 
 def was_removed(fd: int) -> bool:
@@ -549,13 +549,13 @@ def arms_left_behind() -> list[str]:
 
 def open_command(arm: str, arm_hash: int | None = None) -> MemoryFile:
     """Map the command file for writing requests; take no ownership."""
-    return _open(command_path(arm), layout.Command.dtype, arm, arm_hash, writable=True)
+    return _open(command_path(arm), layout.CommandFile.dtype, arm, arm_hash, writable=True)
 
 
 def watch_command(arm: str, pid: int) -> MemoryFile | None:
     """Map the command file read-only; None where there is none of the control process with this pid."""
     try:
-        memory = _open(command_path(arm), layout.Command.dtype, arm, None, writable=False)
+        memory = _open(command_path(arm), layout.CommandFile.dtype, arm, None, writable=False)
     except SharedMemoryError:
         return None
     if int(memory.record["header"]["pid"]) == pid:
@@ -579,7 +579,7 @@ def own_command(arm: str, arm_hash: int) -> MemoryFile:
 def front_of(arm: str) -> tuple[int, int] | None:
     """Pid and last sign of life (CLOCK_MONOTONIC, ns) of the living front of an arm; None when there is none."""
     try:
-        memory = _open(command_path(arm), layout.Command.dtype, arm, None, writable=False)
+        memory = _open(command_path(arm), layout.CommandFile.dtype, arm, None, writable=False)
     except NotRunning:
         return None
     try:

@@ -12,7 +12,7 @@ from shm.files import MemoryFile
 from shm.record import offset_of
 
 READ_TRIES = 5
-_AT = offset_of(layout.State, "gripper")
+_AT = offset_of(layout.StateFile, "gripper")
 
 
 def show_gripper(state: np.ndarray, values: np.ndarray) -> None:

@@ -323,7 +323,7 @@ class Gripper(Table, line_bytes=LINE_BYTES):
     target_rad: Annotated[float, "rad", "where it was last told to go, NaN = nowhere"]
 
 
-class State(Table):
+class StateFile(Table):
     """State file (written by the control process).
 
     The fixed part of it: the flight recorder's two rings follow, in sizes that fit the arm.
@@ -410,7 +410,7 @@ class Request(Table):
     most_effort: Annotated[float, "GRIP: most torque at its joint (Nm), 0 = as much as it has"]
 
 
-class Command(Table):
+class CommandFile(Table):
     """Command file (written by the front)."""
 
     header: Header
@@ -455,7 +455,7 @@ class Rings(NamedTuple):
     @property
     def frames_at(self) -> int:
         """Offset of the ring of frames in the state file."""
-        return State.dtype.itemsize + self.record_bytes * self.record_slots
+        return StateFile.dtype.itemsize + self.record_bytes * self.record_slots
 
     @property
     def file_bytes(self) -> int:
@@ -490,6 +490,6 @@ def layout_hash() -> int:
             return (base.str, dtype.shape)
         return ([(n, base.fields[n][1], describe(base.fields[n][0])) for n in base.fields], dtype.shape)
 
-    described = [describe(record.dtype) for record in (State, CycleRecord, BusFrame, Command)]
+    described = [describe(record.dtype) for record in (StateFile, CycleRecord, BusFrame, CommandFile)]
     text = repr((MAX_JOINTS, RECORDED_NS, *described))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1

@@ -204,7 +204,7 @@ def _records(
     memory: MemoryFile, rings: layout.Rings, joint_count: int, since: int, most: int | None
 ) -> tuple[np.ndarray, int, int]:
     """The whole records of cycles in their order, how many are not whole, and the number behind the last whole one."""
-    size, at = rings.record_bytes, layout.State.dtype.itemsize
+    size, at = rings.record_bytes, layout.StateFile.dtype.itemsize
     copy, numbers = _copied(memory, at, size, rings.record_slots, "records_written", since, most)
     found = np.frombuffer(copy, record_dtype(joint_count))
     view = memoryview(copy)

@@ -8,14 +8,14 @@ import numpy as np
 from compilation.jit import jit
 from rtloop import cycle
 from rtloop.bus.measured import take_what_the_bus_brought
-from rtloop.process.entries import LOOP, STATE, record_at
+from rtloop.process.entries import LOOP, STATE_FILE, record_at
 from rtloop.wire import outgoing, received
 
 
 @jit
 def step(loop_address: int, state_address: int, now_ns: int) -> int:
     """`cycle.step`."""
-    return cycle.step(record_at(loop_address, LOOP), record_at(state_address, STATE), now_ns)
+    return cycle.step(record_at(loop_address, LOOP), record_at(state_address, STATE_FILE), now_ns)
 
 
 @jit
@@ -27,13 +27,13 @@ def push(loop_address: int, time_ns: int, source: np.ndarray, count: int) -> Non
 @jit
 def take(loop_address: int, state_address: int) -> None:
     """`measured.take_what_the_bus_brought`."""
-    take_what_the_bus_brought(record_at(loop_address, LOOP), record_at(state_address, STATE))
+    take_what_the_bus_brought(record_at(loop_address, LOOP), record_at(state_address, STATE_FILE))
 
 
 @jit
 def begin(loop_address: int, state_address: int) -> None:
     """`outgoing.begin`."""
-    outgoing.begin(record_at(loop_address, LOOP), record_at(state_address, STATE))
+    outgoing.begin(record_at(loop_address, LOOP), record_at(state_address, STATE_FILE))
 
 
 @jit
@@ -45,4 +45,4 @@ def put(loop_address: int, frame_id: int, kind: int, length: int, data: int, joi
 @jit
 def took(loop_address: int, state_address: int, count: int) -> None:
     """`outgoing.took`."""
-    outgoing.took(record_at(loop_address, LOOP), record_at(state_address, STATE), count)
+    outgoing.took(record_at(loop_address, LOOP), record_at(state_address, STATE_FILE), count)

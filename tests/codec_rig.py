@@ -87,7 +87,7 @@ class Rig:
     def __init__(self, drive: dict[str, Any], **joint: Any) -> None:
         self.arm = arm_of(drive, **joint)
         self.codec: ModuleType = importlib.import_module(f"rtloop.drives.{drive['family']}")
-        self.shared = np.zeros(1, layout.State.dtype)
+        self.shared = np.zeros(1, layout.StateFile.dtype)
         self.loop = new_loop(self.arm, self.shared.ctypes.data, 0)
         self.record = self.loop[0]
         self.axis, self.row = self.loop[0]["axes"][0], self.loop[0]["joints"][0]

@@ -20,7 +20,7 @@ from shm.words import Outcome
 
 WORDS_A_LINE = 8
 
-HEARTBEAT = offset_of(layout.Command, "heartbeat_ns")
+HEARTBEAT = offset_of(layout.CommandFile, "heartbeat_ns")
 
 
 @jit

@@ -46,7 +46,7 @@ def _run_as_python() -> None:
         setattr(atomics, name, _store)
     for name in ("fence_acquire", "fence_release"):
         setattr(atomics, name, _fence)
-    for of in (layout.State, layout.Command, layout.Snapshot, layout.Setpoint, layout.Begin, layout.Request):
+    for of in (layout.StateFile, layout.CommandFile, layout.Snapshot, layout.Setpoint, layout.Begin, layout.Request):
         of.dtype = np.dtype((np.record, of.dtype))
     check: Any = recording.frame_check
     setattr(recording, "frame_check", lambda *words: check(*map(int, words)))  # noqa: B010

@@ -46,7 +46,7 @@ def private_file(dtype: np.dtype, arm: ArmConfig) -> MemoryFile:
     fd = os.memfd_create("rtarm-test")
     bitrate = arm.bus.bitrate if arm.bus.interface != "mock" else 0
     rings = layout.rings(len(arm.joints), arm.control.period_ns, bitrate)
-    size = rings.file_bytes if dtype is layout.State.dtype else dtype.itemsize
+    size = rings.file_bytes if dtype is layout.StateFile.dtype else dtype.itemsize
     os.truncate(fd, size)
     mapped = mmap.mmap(fd, size)
     memory = MemoryFile(Path("memfd"), fd, mapped, np.frombuffer(mapped, dtype, 1))
@@ -56,7 +56,7 @@ def private_file(dtype: np.dtype, arm: ArmConfig) -> MemoryFile:
     header["bitrate"] = bitrate
     header["arm_name"] = name_bytes((arm.name,), 1)
     header["joint_names"] = name_bytes([joint.name for joint in arm.joints], layout.MAX_JOINTS)
-    if dtype is layout.State.dtype:
+    if dtype is layout.StateFile.dtype:
         memory.record["recorder"] = rings.described()
     return memory
 
@@ -84,8 +84,8 @@ class VirtualArm:
         **sim_options: Any,
     ) -> None:
         self.arm = load_arm(arm) if isinstance(arm, str) else arm
-        self.state = private_file(layout.State.dtype, self.arm)
-        self.command = private_file(layout.Command.dtype, self.arm)
+        self.state = private_file(layout.StateFile.dtype, self.arm)
+        self.command = private_file(layout.CommandFile.dtype, self.arm)
         self.loop = new_loop(self.arm, self.state.address, self.command.address)
         self.loop_address = self.loop.ctypes.data
         show_limits(self.state.record["limits"], self.loop)

@@ -45,9 +45,9 @@ class VirtualArm:
         self.arm = load_arm("mock", overrides=overrides)
         self._joints = len(self.arm.joints)
         rings = layout.rings(self._joints, self.arm.control.period_ns, 0)
-        self._state = self._memory(layout.State.dtype, rings.file_bytes)
+        self._state = self._memory(layout.StateFile.dtype, rings.file_bytes)
         self._state.record["recorder"] = rings.described()
-        command = self._memory(layout.Command.dtype, layout.Command.dtype.itemsize)
+        command = self._memory(layout.CommandFile.dtype, layout.CommandFile.dtype.itemsize)
         self.writer = CommandWriter(command)
         self._loop = new_loop(self.arm, self._state.address, command.address)
         self._now_ns = START_NS
@@ -83,7 +83,7 @@ class VirtualArm:
         if self._streamer is not None:
             consumed = int(self._state.record["consumed"]["setpoints"])
             self._streamer.pump(self.writer, consumed, self._loop[0]["clock"]["time_s"] * 1e9)
-        step(self._loop[0], cast(layout.State, self._state.record), self._now_ns)
+        step(self._loop[0], cast(layout.StateFile, self._state.record), self._now_ns)
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Cycle until a condition holds; raises TimeoutError where it does not within virtual seconds."""

@@ -45,8 +45,8 @@ def shared_memory(machine: Machine, arm: ArmConfig | None) -> Found:
     if total == 0:  # tmpfs with size=0, or ramfs
         return ok("no limit")
     said = f"{free / 2**20:.0f} of {total / 2**20:.0f} MiB free"
-    state_bytes = layout.State.dtype.itemsize if arm is None else _rings(arm).file_bytes
-    arm_bytes = 2 * state_bytes + layout.Command.dtype.itemsize  # a dead control process' state is kept
+    state_bytes = layout.StateFile.dtype.itemsize if arm is None else _rings(arm).file_bytes
+    arm_bytes = 2 * state_bytes + layout.CommandFile.dtype.itemsize  # a dead control process' state is kept
     larger = f"sudo mount -o remount,size=512M {SHARED_MEMORY}"
     if in_container(machine):
         larger = "# start the container with: docker run --shm-size=512m …"

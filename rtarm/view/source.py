@@ -137,7 +137,7 @@ class FollowedRecorder:
         most = min(round(SHOWN_S * NS / period_ns), rings.record_slots - 1)
         numbers = range(max(self._next, written - most), written)
         self._next = written
-        size, start = rings.record_bytes, layout.State.dtype.itemsize
+        size, start = rings.record_bytes, layout.StateFile.dtype.itemsize
         copies = (start + number % rings.record_slots * size for number in numbers)
         records = [memory.map[at : at + size] for at in copies]
         whole = b"".join(record for record in records if is_whole(memoryview(record)))

@@ -10,12 +10,12 @@ from rtloop.safety import transmission
 from rtloop.service import port, rings
 from rtloop.wire import outgoing, received
 from rtloop.wire.outgoing import frame_bits
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Mode
 
 
 @jit
-def encode(loop: Loop, shared: State) -> None:
+def encode(loop: Loop, shared: StateFile) -> None:
     """Put this cycle's frames into the transmit buffer: motion first, then readings, then service."""
     params = loop.params
     outgoing.begin(loop, shared)
@@ -66,7 +66,7 @@ def mirror(loop: Loop, joint: int) -> None:
 
 
 @jit
-def ask(loop: Loop, shared: State) -> None:
+def ask(loop: Loop, shared: StateFile) -> None:
     """Ask every drive that does not report its position for it, and one of them in turn for its status."""
     bus, params = loop.bus, loop.params
     for joint in range(params.joint_count):
@@ -84,7 +84,7 @@ def ask(loop: Loop, shared: State) -> None:
 
 
 @jit
-def probe(loop: Loop, shared: State) -> None:
+def probe(loop: Loop, shared: StateFile) -> None:
     """Ask one drive in turn, now and then, whether anybody is there again: what is asked now only queues up."""
     bus, params = loop.bus, loop.params
     if not transmission.may_probe(loop):
@@ -96,7 +96,7 @@ def probe(loop: Loop, shared: State) -> None:
 
 
 @jit
-def send_service_frames(loop: Loop, shared: State) -> None:
+def send_service_frames(loop: Loop, shared: StateFile) -> None:
     """Send frames of service dialogues in the bus time that this cycle leaves; packets of one command together."""
     bus = loop.bus
     spare = loop.params.service_bits - loop.outgoing.bits

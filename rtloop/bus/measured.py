@@ -15,7 +15,7 @@ from rtloop.service import rings
 from rtloop.wire import can_errors, outgoing, received, wires
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from rtloop.wire.outgoing import frame_bits
-from shm.layout import MAX_JOINTS, State
+from shm.layout import MAX_JOINTS, StateFile
 from shm.words import BusState, Fault, Mode
 
 SHORTEST_SHARE = 0.25
@@ -26,7 +26,7 @@ SMOOTHING_S = 0.1
 
 
 @jit
-def take_what_the_bus_brought(loop: Loop, shared: State) -> None:
+def take_what_the_bus_brought(loop: Loop, shared: StateFile) -> None:
     """Decode every byte that has come since the last cycle into measured state."""
     parser = loop.parser
     if loop.params.wire == WIRE_MOCK:
@@ -51,7 +51,7 @@ def take_what_the_bus_brought(loop: Loop, shared: State) -> None:
 
 
 @jit
-def take_frames(loop: Loop, shared: State, end: int, time_ns: int) -> None:
+def take_frames(loop: Loop, shared: StateFile, end: int, time_ns: int) -> None:
     """The frames that end before `end`."""
     found = FRAME
     while found != NOTHING:
@@ -63,7 +63,7 @@ def take_frames(loop: Loop, shared: State, end: int, time_ns: int) -> None:
 
 
 @jit
-def take_error(loop: Loop, shared: State, error_class: int, data: int) -> None:
+def take_error(loop: Loop, shared: StateFile, error_class: int, data: int) -> None:
     """The state that the bus controller reports. Only bus-off is a fault by itself: nothing leaves any more.
 
     What the kernel held back at bus-off is dropped there; from here on nothing but readings may be asked for.
@@ -80,7 +80,7 @@ def take_error(loop: Loop, shared: State, error_class: int, data: int) -> None:
 
 
 @jit
-def take_frame(loop: Loop, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int) -> None:
+def take_frame(loop: Loop, shared: StateFile, frame_id: int, kind: int, length: int, data: int, time_ns: int) -> None:
     """A frame from a drive: into the axis it belongs to, and to the conversation that may wait for it.
 
     Adapters may echo what they send. A question is never as long as its answer and no answer begins as a command does,
@@ -110,7 +110,7 @@ def whose(loop: Loop, frame_id: int, kind: int) -> int:
 
 
 @jit
-def take_positions(loop: Loop, shared: State) -> None:
+def take_positions(loop: Loop, shared: StateFile) -> None:
     """Measure every joint by the last position that came from its drive since the last cycle."""
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
@@ -122,7 +122,7 @@ def take_positions(loop: Loop, shared: State) -> None:
 
 
 @jit
-def take_position(loop: Loop, shared: State, joint: int, position_rad: float, read_ns: int) -> None:
+def take_position(loop: Loop, shared: StateFile, joint: int, position_rad: float, read_ns: int) -> None:
     axis, params = loop.axes[joint], loop.params
     measured, tracking = axis.measured, axis.tracking
     reference_rad = commanded_at(loop, joint, read_ns)

@@ -19,17 +19,17 @@ from rtloop.trajectory.phases import (
 )
 from shm import layout
 from shm.atomics import load_acquire
-from shm.layout import State
+from shm.layout import StateFile
 from shm.record import offset_of
 from shm.seqlock import copy_words
 from shm.words import Event, Mode, Outcome, Request
 
-_STOP = offset_of(layout.Command, "stop_ns")
-_HOLD = offset_of(layout.Command, "hold_ns")
-_RESUME = offset_of(layout.Command, "resume_ns")
-_SPEED_SCALE = offset_of(layout.Command, "speed_scale")
-_CANCELED_THROUGH = offset_of(layout.Command, "canceled_through")
-_CANCELED_GOALS = offset_of(layout.Command, "canceled_goals")
+_STOP = offset_of(layout.CommandFile, "stop_ns")
+_HOLD = offset_of(layout.CommandFile, "hold_ns")
+_RESUME = offset_of(layout.CommandFile, "resume_ns")
+_SPEED_SCALE = offset_of(layout.CommandFile, "speed_scale")
+_CANCELED_THROUGH = offset_of(layout.CommandFile, "canceled_through")
+_CANCELED_GOALS = offset_of(layout.CommandFile, "canceled_goals")
 _SCRATCH_SCALE = offset_of(Loop, "scratch_scale")
 _WORD = 8
 
@@ -38,7 +38,7 @@ GOALS_AHEAD = 1_000_000
 
 
 @jit
-def obey_commands(loop: Loop, shared: State) -> None:
+def obey_commands(loop: Loop, shared: StateFile) -> None:
     """Obey the newest of each."""
     command = loop.params.command_address
     if command == 0:
@@ -52,7 +52,7 @@ def obey_commands(loop: Loop, shared: State) -> None:
 
 
 @jit
-def obey_stop_and_hold(loop: Loop, shared: State, command: int) -> None:
+def obey_stop_and_hold(loop: Loop, shared: StateFile, command: int) -> None:
     """A stop or a hold leaves the arm held until a resume that was asked for later; a stop also ends what moves it."""
     operator = loop.operator
     # pairs with `CommandWriter._store`, a plain store; the word is all there is
@@ -84,7 +84,7 @@ def obey_stop_and_hold(loop: Loop, shared: State, command: int) -> None:
 
 
 @jit
-def note(loop: Loop, shared: State, kind: int, offset: int) -> None:
+def note(loop: Loop, shared: StateFile, kind: int, offset: int) -> None:
     """Record what was commanded, and by which process."""
     # pairs with `CommandWriter._store`, a plain store, so this may be of another store; it is only told
     who = load_acquire(loop.params.command_address + offset + _WORD)
@@ -92,7 +92,7 @@ def note(loop: Loop, shared: State, kind: int, offset: int) -> None:
 
 
 @jit
-def take_speed_scale(loop: Loop, shared: State, command: int) -> None:
+def take_speed_scale(loop: Loop, shared: StateFile, command: int) -> None:
     """A number that is no share of a speed is passed over."""
     operator = loop.operator
     # pairs with `CommandWriter.scale`; the word is all there is

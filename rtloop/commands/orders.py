@@ -10,7 +10,7 @@ from rtloop.safety import references
 from rtloop.safety.faults import forget_fault, latch_fault
 from rtloop.service import port, rings
 from rtloop.trajectory.phases import raise_epoch, slow_down
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Answer, BusState, Event, Fault, Mode, Outcome, Request
 
 _ANY_REASON = -1
@@ -20,7 +20,7 @@ POSE_DUE_NS = 120_000_000_000
 
 
 @jit
-def take_service_orders(loop: Loop, shared: State) -> None:
+def take_service_orders(loop: Loop, shared: StateFile) -> None:
     """Obey bring-up's decisions up to the next frame it wants sent (frames leave in `encode`)."""
     dialogue = loop.dialogue
     while rings.inbox(loop) > 0:
@@ -69,7 +69,7 @@ def take_service_orders(loop: Loop, shared: State) -> None:
 
 
 @jit
-def begin_bring_up(loop: Loop, shared: State) -> None:
+def begin_bring_up(loop: Loop, shared: StateFile) -> None:
     """Forget the fault, but no reason for which a reference was lost; no motion frame leaves until a goal runs."""
     dialogue = loop.dialogue
     if not change_mode(loop, shared, Mode.BRINGING_UP):

@@ -13,22 +13,22 @@ from rtloop.trajectory.phases import raise_epoch, runs, waits
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, store_release
-from shm.layout import State
+from shm.layout import StateFile
 from shm.record import offset_of
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Answer, Fault, Mode, Outcome, Request, Unreferenced
 
 REQUESTS_A_CYCLE = 4
 
-_REQUESTS_WRITTEN = offset_of(layout.Command, "requests_written")
-_REQUESTS = offset_of(layout.Command, "requests")
+_REQUESTS_WRITTEN = offset_of(layout.CommandFile, "requests_written")
+_REQUESTS = offset_of(layout.CommandFile, "requests")
 _REQUEST_BYTES = layout.Request.dtype.itemsize
-_CONSUMED_REQUESTS = offset_of(layout.State, "consumed", "requests")
+_CONSUMED_REQUESTS = offset_of(layout.StateFile, "consumed", "requests")
 _SCRATCH_REQUEST = offset_of(Loop, "scratch_request")
 
 
 @jit
-def take_requests(loop: Loop, shared: State) -> None:
+def take_requests(loop: Loop, shared: StateFile) -> None:
     """Take and answer a bounded batch of requests."""
     front = loop.front
     command = loop.params.command_address
@@ -63,7 +63,7 @@ def take_requests(loop: Loop, shared: State) -> None:
 
 
 @jit
-def _obey(loop: Loop, shared: State) -> int:
+def _obey(loop: Loop, shared: StateFile) -> int:
     dialogue, request = loop.dialogue, loop.scratch_request
     kind = request.kind
     if request.epoch != loop.goals.epoch and (
@@ -124,7 +124,7 @@ def _pass_to_gripper(loop: Loop) -> int:
 
 
 @jit
-def _disable(loop: Loop, shared: State, mode: int) -> int:
+def _disable(loop: Loop, shared: StateFile, mode: int) -> int:
     """Disable the drives of a standing arm; nothing else ever does."""
     if loop.mode == mode:
         return Answer.DONE
@@ -143,7 +143,7 @@ def _disable(loop: Loop, shared: State, mode: int) -> int:
 
 
 @jit
-def begin_referencing(loop: Loop, shared: State, kind: int, joint_mask: int, angle_rad: float) -> int:
+def begin_referencing(loop: Loop, shared: StateFile, kind: int, joint_mask: int, angle_rad: float) -> int:
     """Begin to home joints of a standing arm, or to set their angles as requested."""
     dialogue, count = loop.dialogue, loop.params.joint_count
     if kind == Request.HOME and loop.operator.held == 1:

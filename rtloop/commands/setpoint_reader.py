@@ -29,7 +29,7 @@ from rtloop.trajectory.phases import (
 )
 from shm import layout
 from shm.atomics import load_acquire, store_release
-from shm.layout import State
+from shm.layout import StateFile
 from shm.record import offset_of
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Entry, Event, Fault, Mode, Outcome, Phase, Setpoint
@@ -47,12 +47,12 @@ FARTHEST_NS = 1 << 62
 """146 years: times farther away than any message of ROS can say, so that no difference of two of them overflows."""
 
 _APPROACH, _STREAM = int(Entry.APPROACH), int(Entry.STREAM)
-_ANNOUNCED = offset_of(layout.Command, "announced_goal")
-_SETPOINTS_WRITTEN = offset_of(layout.Command, "setpoints_written")
-_SETPOINTS = offset_of(layout.Command, "setpoints")
+_ANNOUNCED = offset_of(layout.CommandFile, "announced_goal")
+_SETPOINTS_WRITTEN = offset_of(layout.CommandFile, "setpoints_written")
+_SETPOINTS = offset_of(layout.CommandFile, "setpoints")
 _SETPOINT_BYTES = layout.Setpoint.dtype.itemsize
-_HEARTBEAT = offset_of(layout.Command, "heartbeat_ns")
-_CONSUMED_SETPOINTS = offset_of(layout.State, "consumed", "setpoints")
+_HEARTBEAT = offset_of(layout.CommandFile, "heartbeat_ns")
+_CONSUMED_SETPOINTS = offset_of(layout.StateFile, "consumed", "setpoints")
 _WAYPOINTS = offset_of(Loop, "waypoints")
 _SCRATCH = offset_of(Loop, "scratch")
 _SCRATCH_BEGIN = offset_of(Loop, "scratch_begin")
@@ -89,7 +89,7 @@ def records_a_cycle(joint_count: int, period_ns: int) -> int:
 
 
 @jit
-def take_setpoints(loop: Loop, shared: State) -> None:
+def take_setpoints(loop: Loop, shared: StateFile) -> None:
     """Take a bounded batch of records from the setpoint ring."""
     front = loop.front
     command = loop.params.command_address
@@ -127,7 +127,7 @@ def take_setpoints(loop: Loop, shared: State) -> None:
 
 
 @jit
-def _take_record(loop: Loop, shared: State, words: int) -> bool:
+def _take_record(loop: Loop, shared: StateFile, words: int) -> bool:
     """Use the record in the scratch; False leaves it in the ring because its window is full."""
     params = loop.params
     record = loop.scratch
@@ -186,7 +186,7 @@ def _finite(row: layout.SetpointJoint) -> bool:
 
 
 @jit
-def _end_goal(loop: Loop, shared: State, path_index: int) -> None:
+def _end_goal(loop: Loop, shared: StateFile, path_index: int) -> None:
     """No waypoint follows; the record in the scratch holds the tolerances of the end."""
     path = loop.paths[path_index]
     for joint in range(loop.params.joint_count):
@@ -230,7 +230,7 @@ def wrong_waypoint(loop: Loop, path_index: int) -> tuple[int, float, float]:
 
 
 @jit
-def _refuse_waypoint(loop: Loop, shared: State, joint: int, value: float, limit: float) -> None:
+def _refuse_waypoint(loop: Loop, shared: StateFile, joint: int, value: float, limit: float) -> None:
     """A waypoint that cannot be used ends its goal; what came before it is still a path to stop on."""
     if waits(loop) and loop.scratch.goal_id == loop.paths[incoming(loop)].goal_id:
         end_waiting(loop, shared, Outcome.REFUSED_CORRUPT, joint, value, limit)
@@ -239,7 +239,7 @@ def _refuse_waypoint(loop: Loop, shared: State, joint: int, value: float, limit:
 
 
 @jit
-def _begin_goal(loop: Loop, shared: State) -> None:
+def _begin_goal(loop: Loop, shared: StateFile) -> None:
     front = loop.front
     begin = loop.scratch_begin
     goal_id = begin.goal_id

@@ -34,7 +34,7 @@ from rtloop.memory.state import Loop
 from rtloop.safety import monitor, setpoint_check
 from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Unreferenced
 
 ERROR_MEANINGS = code_meanings(ERRORS)
@@ -62,7 +62,7 @@ def setpoint_rad(loop: Loop, joint: int) -> float:
 
 
 @jit
-def send_target(loop: Loop, joint: int, shared: State, position_rad: float, stops: int) -> bool:
+def send_target(loop: Loop, joint: int, shared: StateFile, position_rad: float, stops: int) -> bool:
     """Send a target of the joint as RPDO1; `stops` as in `outgoing.put`. False if the transmit buffer has no room."""
     row = loop.joints[joint]
     counts = words.bounded((position_rad + row.zero_rad) * row.command_per_rad, HIGHEST_COUNT)
@@ -71,7 +71,7 @@ def send_target(loop: Loop, joint: int, shared: State, position_rad: float, stop
 
 
 @jit
-def lead(loop: Loop, joint: int, shared: State) -> None:
+def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send the target of this cycle; a drive that got no targets for a while catches up gradually."""
     target_rad = setpoint_rad(loop, joint)
     target_rad -= following.still_behind_rad(loop, joint, target_rad)
@@ -80,7 +80,7 @@ def lead(loop: Loop, joint: int, shared: State) -> None:
 
 
 @jit
-def stop(loop: Loop, joint: int, shared: State) -> bool:
+def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     """Command the drive to hold its measured position; a quick stop may switch its torque off (option code 605A).
 
     Without new targets the drive stands at its last one. So nothing is sent if the last reading is old or in doubt,
@@ -95,7 +95,7 @@ def stop(loop: Loop, joint: int, shared: State) -> bool:
 
 
 @jit
-def ask_position(loop: Loop, joint: int, shared: State) -> None:
+def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send a SYNC, once a cycle: all drives of the family answer it with their position, with a new target or not."""
     if loop.bus.sync_cycle != loop.timing.cycle:
         if not outgoing.send(loop, shared, SYNC, STANDARD, 0, 0):
@@ -105,7 +105,7 @@ def ask_position(loop: Loop, joint: int, shared: State) -> None:
 
 
 @jit
-def ask_status(loop: Loop, joint: int, shared: State) -> None:
+def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send nothing: the status comes with every position."""
 
 
@@ -122,7 +122,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 @jit
 def receive(
-    loop: Loop, joint: int, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int
+    loop: Loop, joint: int, shared: StateFile, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """Store position, status and torque of TPDO1, the error code of an emergency, or a heartbeat out of operation."""
     row, axis = loop.joints[joint], loop.axes[joint]

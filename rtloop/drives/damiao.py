@@ -23,7 +23,7 @@ from rtloop.memory.state import Loop
 from rtloop.safety import monitor, setpoint_check
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.wire import outgoing
-from shm.layout import State
+from shm.layout import StateFile
 
 ERROR_MEANINGS = code_meanings(ERRORS)
 
@@ -60,7 +60,7 @@ def following_data(row: JointParams, rad: float, rad_s: float) -> int:
 
 
 @jit
-def lead(loop: Loop, joint: int, shared: State) -> None:
+def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send a set-point in mode mit, or a target and a speed limit in mode position_velocity."""
     row, axis = loop.joints[joint], loop.axes[joint]
     if row.plans_its_motion == 0:
@@ -84,7 +84,7 @@ def holding_rad_s(row: JointParams) -> float:
 
 
 @jit
-def stop(loop: Loop, joint: int, shared: State) -> bool:
+def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     """Command the motor to hold its measured position, or in mode position_velocity where its ramp ends.
 
     The motor stays enabled, because the joint would fall otherwise. A motor that gets no more commands stands at its
@@ -108,7 +108,7 @@ def stop(loop: Loop, joint: int, shared: State) -> bool:
 
 
 @jit
-def command(loop: Loop, joint: int, shared: State, frame_id: int, data: int, stops: int) -> bool:
+def command(loop: Loop, joint: int, shared: StateFile, frame_id: int, data: int, stops: int) -> bool:
     """Send a motion command, which the drive answers with its feedback; False if the transmit buffer has no room."""
     if not outgoing.send(loop, shared, frame_id, STANDARD, 8, data, 0, stops):
         return False
@@ -118,7 +118,7 @@ def command(loop: Loop, joint: int, shared: State, frame_id: int, data: int, sto
 
 
 @jit
-def ask_position(loop: Loop, joint: int, shared: State) -> None:
+def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
     if loop.axes[joint].sent.asked_cycle == loop.timing.cycle:
         return
     data = loop.joints[joint].address | FEEDBACK << 16
@@ -127,7 +127,7 @@ def ask_position(loop: Loop, joint: int, shared: State) -> None:
 
 
 @jit
-def ask_status(loop: Loop, joint: int, shared: State) -> None:
+def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send nothing: the status is part of the feedback."""
 
 
@@ -146,7 +146,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 @jit
 def receive(
-    loop: Loop, joint: int, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int
+    loop: Loop, joint: int, shared: StateFile, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """Store position, velocity, torque, temperature and status of a feedback."""
     row = loop.joints[joint]

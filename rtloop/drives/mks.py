@@ -30,7 +30,7 @@ from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.state import Loop
 from rtloop.safety import setpoint_check
 from rtloop.wire import outgoing
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Unreferenced
 
 
@@ -72,7 +72,7 @@ def counts_of(data: int) -> int:
 
 
 @jit
-def send(loop: Loop, shared: State, joint: int, data: int, length: int, stops: int = -1) -> bool:
+def send(loop: Loop, shared: StateFile, joint: int, data: int, length: int, stops: int = -1) -> bool:
     """Send `length` bytes and their checksum; False if the transmit buffer has no room."""
     can_id = loop.joints[joint].address
     packed = closed(can_id, data, length)
@@ -89,7 +89,7 @@ def halt(loop: Loop, joint: int) -> int:
 
 
 @jit
-def lead(loop: Loop, joint: int, shared: State) -> None:
+def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send target and speed; the remainder of the speed's rounding is carried over to the next period."""
     row = loop.joints[joint]
     # whole rpm keep the mean by being up to half an rpm off for a period
@@ -102,7 +102,7 @@ def lead(loop: Loop, joint: int, shared: State) -> None:
 
 
 @jit
-def stop(loop: Loop, joint: int, shared: State) -> bool:
+def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     """Command a halt along the ramp, after which the drive holds.
 
     `F7` is sent first if a homing run may be under way: it alone ends one, but is not recommended above 1000 rpm.
@@ -113,13 +113,13 @@ def stop(loop: Loop, joint: int, shared: State) -> bool:
 
 
 @jit
-def ask_position(loop: Loop, joint: int, shared: State) -> None:
+def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
     if send(loop, shared, joint, READ_POSITION, 1):
         receiving.note_question(loop, joint)
 
 
 @jit
-def ask_status(loop: Loop, joint: int, shared: State) -> None:
+def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     """Ask in turn whether the drive is enabled and whether it has stalled; after a bad answer, ask the same again."""
     axis = loop.axes[joint]
     asked = READ_STALLED if (loop.timing.cycle // loop.params.joint_count) & 1 else READ_ENABLED
@@ -143,7 +143,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 @jit
 def receive(
-    loop: Loop, joint: int, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int
+    loop: Loop, joint: int, shared: StateFile, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """Store a position, a status or a refused motion command; other frames are ignored."""
     if kind & (EXTENDED | REMOTE) != 0 or not is_sound(frame_id, data, length):

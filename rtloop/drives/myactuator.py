@@ -24,7 +24,7 @@ from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop
 from rtloop.safety import setpoint_check
 from rtloop.wire import outgoing
-from shm.layout import State
+from shm.layout import StateFile
 
 REQUEST_BASE = 0x140
 HIGHEST_SPEED_DPS = 0xFFFF
@@ -49,7 +49,7 @@ def target_with_speed(angle: int, speed_dps: int) -> int:
 
 
 @jit
-def lead(loop: Loop, joint: int, shared: State) -> None:
+def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send target and speed; the remainder of the speed's rounding is carried over to the next period."""
     row, axis = loop.joints[joint], loop.axes[joint]
     dps_per_rad_s = abs(row.command_per_rad) / STEPS_PER_DEGREE
@@ -66,19 +66,19 @@ def lead(loop: Loop, joint: int, shared: State) -> None:
 
 
 @jit
-def stop(loop: Loop, joint: int, shared: State) -> bool:
+def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     """Command a stop with the loop closed (81); False if the transmit buffer has no room."""
     return bool(outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, STOP, 0, joint))
 
 
 @jit
-def ask_position(loop: Loop, joint: int, shared: State) -> None:
+def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
     if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, ANGLE):
         receiving.note_question(loop, joint)
 
 
 @jit
-def ask_status(loop: Loop, joint: int, shared: State) -> None:
+def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     """Ask for the status; every other time for speed and current, where no motion command of this cycle does so.
 
     After a bad status the status alone is asked for, so that the next one tells at once whether to believe it.
@@ -103,7 +103,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 @jit
 def receive(
-    loop: Loop, joint: int, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int
+    loop: Loop, joint: int, shared: StateFile, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """Store what an answer holds: the position (92), speed and torque (A4, 9C), the status (9A), or a shutdown (80)."""
     row, axis = loop.joints[joint], loop.axes[joint]

@@ -36,7 +36,7 @@ from rtloop.memory.frame_words import REMOTE, STANDARD
 from rtloop.memory.state import Loop
 from rtloop.safety import monitor, setpoint_check
 from rtloop.wire import outgoing
-from shm.layout import State
+from shm.layout import StateFile
 
 AHEAD_PER_UNIT = 1000.0
 MOST_AHEAD = 32_767
@@ -58,7 +58,7 @@ def input_position(turns: float, turns_s: float) -> int:
 
 
 @jit
-def lead(loop: Loop, joint: int, shared: State) -> None:
+def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send the set-point of this cycle; an axis that got no set-points for a while catches up gradually."""
     row, axis = loop.joints[joint], loop.axes[joint]
     position_rad, velocity_rad_s = following.setpoint(loop, joint)
@@ -71,7 +71,7 @@ def lead(loop: Loop, joint: int, shared: State) -> None:
 
 
 @jit
-def stop(loop: Loop, joint: int, shared: State) -> bool:
+def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     """Command the axis to hold its measured position; its emergency stop (02) would let the joint fall.
 
     Without new targets the axis stands at its last one, so nothing is sent if its position is not known.
@@ -84,13 +84,13 @@ def stop(loop: Loop, joint: int, shared: State) -> bool:
 
 
 @jit
-def ask_position(loop: Loop, joint: int, shared: State) -> None:
+def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
     if outgoing.send(loop, shared, identifier(loop, joint, ESTIMATES), REMOTE, ANSWER_BYTES, 0):
         receiving.note_question(loop, joint)
 
 
 @jit
-def ask_status(loop: Loop, joint: int, shared: State) -> None:
+def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     """Ask for bus voltage and motor current in turn; the status comes by itself with the heartbeat."""
     turn = loop.timing.cycle // loop.params.joint_count
     what = CURRENT if turn & 1 and loop.joints[joint].effort_per_unit != 0.0 else BUS
@@ -110,7 +110,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 @jit
 def receive(
-    loop: Loop, joint: int, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int
+    loop: Loop, joint: int, shared: StateFile, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """Store estimates, supply voltage, torque, the heartbeat's status, or the firmware's version."""
     row = loop.joints[joint]

@@ -7,7 +7,7 @@ from compilation.jit import jit
 from rtloop.memory.axis import QUESTIONS
 from rtloop.memory.state import Loop
 from rtloop.safety import monitor
-from shm.layout import State
+from shm.layout import StateFile
 
 
 @jit
@@ -72,7 +72,7 @@ def receive_status(loop: Loop, joint: int, status: int) -> None:
 
 
 @jit
-def receive_refusal(loop: Loop, shared: State, joint: int, of_motion: bool) -> None:
+def receive_refusal(loop: Loop, shared: StateFile, joint: int, of_motion: bool) -> None:
     """Count a command that a drive has refused, and of a motion command also for its joint."""
     shared.counters.drive_errors += 1
     if of_motion:

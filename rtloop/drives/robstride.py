@@ -49,7 +49,7 @@ from rtloop.safety import monitor, setpoint_check
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
-from shm.layout import State
+from shm.layout import StateFile
 
 BITS = 16
 NO_TORQUE = 0x7FFF
@@ -89,7 +89,7 @@ def parameter(index: int, value: float) -> int:
 
 
 @jit
-def send_set_point(loop: Loop, joint: int, shared: State, position: float, velocity: float, stops: int) -> bool:
+def send_set_point(loop: Loop, joint: int, shared: StateFile, position: float, velocity: float, stops: int) -> bool:
     """Send a set-point of type 1 (rad and rad/s of the output shaft); False if the transmit buffer has no room."""
     data = set_point(loop, joint, position, velocity)
     sent = outgoing.send(loop, shared, identifier(loop, joint, CONTROL, NO_TORQUE), EXTENDED, 8, data, 0, stops)
@@ -97,7 +97,7 @@ def send_set_point(loop: Loop, joint: int, shared: State, position: float, veloc
 
 
 @jit
-def send_target(loop: Loop, joint: int, shared: State, speed: float, target: float, stops: int) -> bool:
+def send_target(loop: Loop, joint: int, shared: StateFile, speed: float, target: float, stops: int) -> bool:
     """Send speed limit and target of the motor's own position loop (rad/s and rad of its output shaft)."""
     frame_id = identifier(loop, joint, WRITE, loop.joints[joint].host_id)
     if not outgoing.has_room(loop, 2):
@@ -129,7 +129,7 @@ def target_ahead(loop: Loop, joint: int) -> tuple[float, float]:
 
 
 @jit
-def lead(loop: Loop, joint: int, shared: State) -> None:
+def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send a set-point in mode control, else a target and a speed limit."""
     row = loop.joints[joint]
     if row.position_gain_1_s == 0.0:
@@ -145,7 +145,7 @@ def lead(loop: Loop, joint: int, shared: State) -> None:
 
 
 @jit
-def stop(loop: Loop, joint: int, shared: State) -> bool:
+def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     """Command the motor to hold its measured position; its stop (type 4) would let the joint fall.
 
     Without new commands the motor stands at its last target, so nothing is sent if its position is not known.
@@ -161,7 +161,7 @@ def stop(loop: Loop, joint: int, shared: State) -> bool:
 
 
 @jit
-def ask_position(loop: Loop, joint: int, shared: State) -> None:
+def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
     if loop.axes[joint].sent.asked_cycle == loop.timing.cycle:
         return
     frame_id = identifier(loop, joint, READ, loop.joints[joint].host_id)
@@ -170,7 +170,7 @@ def ask_position(loop: Loop, joint: int, shared: State) -> None:
 
 
 @jit
-def ask_status(loop: Loop, joint: int, shared: State) -> None:
+def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     """Ask for the voltage, or every other time for a feedback if no motion command of this cycle is answered with one.
 
     The request for a feedback sets the target of the motor's speed mode to 0, which moves nothing in any mode.
@@ -200,7 +200,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 @jit
 def receive(
-    loop: Loop, joint: int, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int
+    loop: Loop, joint: int, shared: StateFile, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """Store a feedback (type 2), a parameter that was read (17) or a fault (21)."""
     said = frame_id >> TYPE_BIT

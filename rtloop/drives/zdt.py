@@ -29,7 +29,7 @@ from rtloop.safety.outlier_filter import steady_error_rad
 from rtloop.trajectory.correction import ERROR_SHARE_1_S
 from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Unreferenced
 
 FAST_OFFSET_SHARE = 0.25
@@ -200,7 +200,7 @@ def trip_cause(flags: int) -> int:
 
 
 @jit
-def lead(loop: Loop, joint: int, shared: State) -> None:
+def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send `FC` or `FD`; the remainder of the rounding of the speed in `FD` is carried over to the next period."""
     row = loop.joints[joint]
     frame_id = row.address << 8
@@ -220,7 +220,7 @@ def lead(loop: Loop, joint: int, shared: State) -> None:
 
 
 @jit
-def stop(loop: Loop, joint: int, shared: State) -> bool:
+def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     """Command the drive to stop where it is; False if the transmit buffer has no room."""
     frame_id = loop.joints[joint].address << 8
     if loop.axes[joint].reference.unreferenced_reason == Unreferenced.NOT_HOMED:
@@ -230,13 +230,13 @@ def stop(loop: Loop, joint: int, shared: State) -> bool:
 
 
 @jit
-def ask_position(loop: Loop, joint: int, shared: State) -> None:
+def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
     if outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_POSITION):
         receiving.note_question(loop, joint)
 
 
 @jit
-def ask_status(loop: Loop, joint: int, shared: State) -> None:
+def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     """Ask for the status; of a drive in protection, ask for the cause first, so that it is known before the status."""
     if loop.axes[joint].drive.status & status_bits.PROTECTED:
         outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_CAUSE)
@@ -258,7 +258,7 @@ def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None
 
 @jit
 def receive(
-    loop: Loop, joint: int, shared: State, frame_id: int, kind: int, length: int, data: int, time_ns: int
+    loop: Loop, joint: int, shared: StateFile, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """Decode and store a frame of the drive; `error_code` of the joint holds the cause of a tripped protection."""
     kind, value = decode(frame_id & 255, length, data)

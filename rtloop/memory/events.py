@@ -4,17 +4,17 @@ from compilation.jit import jit
 from rtloop.memory.state import Loop
 from shm import layout
 from shm.atomics import load_relaxed, store_release
-from shm.layout import State
+from shm.layout import StateFile
 from shm.record import offset_of
 from shm.words import Event
 
-_EVENTS_WRITTEN_AT = offset_of(layout.State, "events_written")
+_EVENTS_WRITTEN_AT = offset_of(layout.StateFile, "events_written")
 
 
 @jit
 def record_event(
     loop: Loop,
-    shared: State,
+    shared: StateFile,
     kind: int,
     joint: int,
     code: int,
@@ -40,7 +40,9 @@ def record_event(
 
 
 @jit
-def set_result(loop: Loop, shared: State, goal_id: int, outcome: int, joint: int, value: float, limit: float) -> None:
+def set_result(
+    loop: Loop, shared: StateFile, goal_id: int, outcome: int, joint: int, value: float, limit: float
+) -> None:
     """Append to the table of results; the oldest decision is overwritten, whichever goal's it is."""
     result = loop.snapshot.results[loop.published.results_decided & (layout.RESULT_SLOTS - 1)]
     loop.published.results_decided += 1
@@ -55,7 +57,7 @@ def set_result(loop: Loop, shared: State, goal_id: int, outcome: int, joint: int
 
 
 @jit
-def answer_request(loop: Loop, shared: State, sequence: int, kind: int, answer: int) -> None:
+def answer_request(loop: Loop, shared: StateFile, sequence: int, kind: int, answer: int) -> None:
     """Answer the request of a number; its event says too what was asked (`kind`, shm.words.Request)."""
     row = loop.snapshot.answers[sequence & (layout.ANSWER_SLOTS - 1)]
     row.sequence = sequence

@@ -9,7 +9,7 @@ any of them → fault → bringing_up (an explicit clear does too)
 from compilation.jit import jit
 from rtloop.memory.events import record_event
 from rtloop.memory.state import Loop
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Event, Mode
 
 ALLOWED = {
@@ -34,7 +34,7 @@ def is_disabled(mode: int) -> bool:
 
 
 @jit
-def change_mode(loop: Loop, shared: State, mode: int) -> bool:
+def change_mode(loop: Loop, shared: StateFile, mode: int) -> bool:
     """Go to a mode if the table allows it; says whether it did."""
     if (_ALLOWED_BITS[loop.mode] >> mode) & 1 == 0:
         return False

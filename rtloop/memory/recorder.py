@@ -11,20 +11,20 @@ from rtloop.memory.frame_words import EXTENDED, REMOTE
 from rtloop.memory.state import Loop
 from shm import layout, recording
 from shm.atomics import load_relaxed, store_relaxed, store_release
-from shm.layout import State
+from shm.layout import StateFile
 from shm.record import offset_of
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Outcome, Phase, Slowed
 
 SENT = recording.SENT
 
-_RECORDS_WRITTEN = offset_of(layout.State, "records_written")
-_FRAMES_WRITTEN = offset_of(layout.State, "frames_written")
-_RINGS = layout.State.dtype.itemsize
+_RECORDS_WRITTEN = offset_of(layout.StateFile, "records_written")
+_FRAMES_WRITTEN = offset_of(layout.StateFile, "frames_written")
+_RINGS = layout.StateFile.dtype.itemsize
 _FRAME_BYTES = layout.BusFrame.dtype.itemsize
-_HEARTBEAT = offset_of(layout.Command, "heartbeat_ns")
+_HEARTBEAT = offset_of(layout.CommandFile, "heartbeat_ns")
 _FIRST_COUNTED = next(iter(layout.Counted.words))
-_COUNTED = offset_of(layout.State, "counters", _FIRST_COUNTED)
+_COUNTED = offset_of(layout.StateFile, "counters", _FIRST_COUNTED)
 _COUNTED_WORDS = len(layout.Counted.words)
 
 _RECORD = offset_of(Loop, "record")
@@ -54,7 +54,7 @@ def slowed(loop: Loop) -> int:
 
 
 @jit
-def record_cycle(loop: Loop, shared: State) -> None:
+def record_cycle(loop: Loop, shared: StateFile) -> None:
     """Keep this cycle, whose snapshot has just been made and summed; allocates nothing, waits for nobody."""
     params, record = loop.params, loop.record
     slots = shared.recorder.record_slots
@@ -89,7 +89,9 @@ def marks_of(kind: int) -> int:
 
 
 @jit
-def record_frame(loop: Loop, shared: State, time_ns: int, frame_id: int, marks: int, length: int, data: int) -> None:
+def record_frame(
+    loop: Loop, shared: StateFile, time_ns: int, frame_id: int, marks: int, length: int, data: int
+) -> None:
     """Keep a CAN frame; `marks` are SENT and those of its kind."""
     slots = shared.recorder.frame_slots
     if slots == 0:

@@ -13,10 +13,10 @@ from compilation.jit import jit
 from rtloop.memory.state import Loop
 from rtloop.process import run as threads
 from shm.atomics import load_acquire, store_release
-from shm.layout import State
+from shm.layout import StateFile
 
 # compiled functions can look up no attribute of a class
-LOOP, STATE = Loop.dtype, State.dtype
+LOOP, STATE_FILE = Loop.dtype, StateFile.dtype
 
 
 @intrinsic
@@ -34,7 +34,7 @@ record_at: Callable[[int, Any], Any] = cast(Any, _record_at)
 def run(loop_address: int, state_address: int) -> int:
     """The cycle's thread, see `rtloop.process.run.run`; returns 1 if it ended by an exception, else 0."""
     try:
-        threads.run(record_at(loop_address, LOOP), record_at(state_address, STATE))
+        threads.run(record_at(loop_address, LOOP), record_at(state_address, STATE_FILE))
     except Exception:
         return 1
     return 0

@@ -24,7 +24,7 @@ from shm.words import Mode, Unreferenced
 def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.ndarray:
     """The state of a control process that has not run a cycle yet, shape (1,), dtype `Loop.dtype`.
 
-    The addresses are those of the mapped state and command files (layout.State and layout.Command). The
+    The addresses are those of the mapped state and command files (layout.StateFile and layout.CommandFile). The
     mappings must outlive the returned array.
     """
     loop = np.zeros(1, Loop.dtype)
@@ -72,7 +72,7 @@ def show_limits(limits: np.void, loop: np.ndarray) -> None:
 
 
 def show_drives(state: np.void, arm: ArmConfig) -> None:
-    """Write into the state file (layout.State) which identifiers are which joint's, and which joints can home."""
+    """Write into the state file (layout.StateFile) which identifiers are which joint's, and which joints can home."""
     for joint, config in enumerate(arm.joints):
         state["limits"]["joints"]["homes"][joint] = homes_by_a_run(config.drive)
     used = [(one, joint) for joint, config in enumerate(arm.joints) for one in config.drive.identifiers]

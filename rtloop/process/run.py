@@ -33,7 +33,7 @@ from rtloop.system.libc import (
 from rtloop.wire import outgoing, received, wires
 from shm import histogram
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
-from shm.layout import Histogram, State
+from shm.layout import Histogram, StateFile
 from shm.record import offset_of
 from shm.words import BusState, Event
 
@@ -102,7 +102,7 @@ def sleep_until(loop: Loop, deadline_ns: int) -> None:
 
 
 @jit
-def take_over_wire(loop: Loop, shared: State) -> int:
+def take_over_wire(loop: Loop, shared: StateFile) -> int:
     """The descriptor of the wire in this cycle, -1 for none.
 
     If it is another one than before, frames that wait to be sent and half received ones are dropped.
@@ -122,7 +122,7 @@ def take_over_wire(loop: Loop, shared: State) -> int:
 
 
 @jit
-def send_bytes(loop: Loop, shared: State, fd: int) -> None:
+def send_bytes(loop: Loop, shared: StateFile, fd: int) -> None:
     """Hand the transmit buffer to the wire at once: characters in one write, CAN frames in one batch.
 
     A batch that the system accepts in part gives no error; if the reason lasts, the next cycle's batch gives it.
@@ -161,7 +161,7 @@ def follow_epoch(loop: Loop, woke_ns: int) -> None:
 
 
 @jit
-def run(loop: Loop, shared: State) -> None:
+def run(loop: Loop, shared: StateFile) -> None:
     """Run cycles until the stop word is set, on whatever wire is open."""
     params = loop.params
     clock = params.address + _CLOCK

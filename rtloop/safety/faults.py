@@ -5,7 +5,7 @@ from rtloop.memory.events import record_event
 from rtloop.memory.modes import change_mode
 from rtloop.memory.state import Loop
 from rtloop.trajectory.phases import raise_epoch, runs, stop_running, tell_why_it_stops
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Event, Fault, Mode, Outcome
 
 
@@ -23,7 +23,14 @@ def path_is_trusted(fault: int) -> bool:
 
 @jit
 def latch_fault(
-    loop: Loop, shared: State, fault: int, joint: int, value: float, limit: float, silent: int = 0, evidence: int = 0
+    loop: Loop,
+    shared: StateFile,
+    fault: int,
+    joint: int,
+    value: float,
+    limit: float,
+    silent: int = 0,
+    evidence: int = 0,
 ) -> None:
     """Latch a fault, end every goal with it and let the arm brake.
 

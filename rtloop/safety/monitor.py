@@ -13,7 +13,7 @@ from rtloop.safety.references import lose_reference, outlives_a_clear
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.trajectory.path import in_goal
 from rtloop.trajectory.phases import slow_down, stop_running
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Fault, Mode, Outcome, Phase, Slowed, Unreferenced
 
 _LATE_DRIVE = int(Slowed.LATE_DRIVE)
@@ -25,7 +25,7 @@ HAND_SHARE = 2.0
 
 
 @jit
-def check_measured(loop: Loop, shared: State) -> None:
+def check_measured(loop: Loop, shared: StateFile) -> None:
     """Check following error, the age of the readings, and the status that the drives report.
 
     A drive that ran on while the loop was away is not to blame for the distance (`slip_rad`): the error share
@@ -69,7 +69,7 @@ def check_measured(loop: Loop, shared: State) -> None:
 
 
 @jit
-def latch_silence(loop: Loop, shared: State, joint: int, age_ns: int) -> None:
+def latch_silence(loop: Loop, shared: StateFile, joint: int, age_ns: int) -> None:
     """Latch the fault of a drive that is silent, which names no joint where all drives are."""
     silent, all_silent = 0, True
     for other in range(loop.params.joint_count):
@@ -157,7 +157,9 @@ def stop_if_it_was_away(loop: Loop, joint: int, waited_ns: int) -> None:
 
 
 @jit
-def plausible(loop: Loop, shared: State, joint: int, position_rad: float, read_ns: int, reference_rad: float) -> bool:
+def plausible(
+    loop: Loop, shared: StateFile, joint: int, position_rad: float, read_ns: int, reference_rad: float
+) -> bool:
     """Whether a reading, of the instant at which `reference_rad` was commanded, can have come about by motion.
 
     One that cannot is put aside and answers no question; when the next one agrees with it, the drive's count has

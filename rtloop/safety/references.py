@@ -5,7 +5,7 @@ from rtloop.memory.events import record_event
 from rtloop.memory.state import Loop
 from rtloop.memory.updates import owe_no_stop, owe_stop
 from rtloop.safety.absolute_encoder import absolute_makes_good
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Event, Unreferenced
 
 _absolute_makes_good = jit(absolute_makes_good)
@@ -21,7 +21,7 @@ def outlives_a_clear(loop: Loop, joint: int) -> bool:
 
 
 @jit
-def lose_reference(loop: Loop, shared: State, joint: int, reason: int) -> None:
+def lose_reference(loop: Loop, shared: StateFile, joint: int, reason: int) -> None:
     """The drive's count means nothing any more: stop command, then no motion frame until it is referenced."""
     axis = loop.axes[joint]
     reference = axis.reference

@@ -12,7 +12,7 @@ from rtloop.memory.state import Loop
 from rtloop.memory.updates import owe_stop
 from rtloop.safety.faults import latch_fault, stop_each_joint
 from rtloop.trajectory.limits import band, first_broken, hardest_rad_s2, highest_rad_s
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Fault
 
 BESIDE_RAD = 1e-9
@@ -20,7 +20,7 @@ BESIDE_RAD = 1e-9
 
 
 @jit
-def check_next_setpoint(loop: Loop, shared: State) -> bool:
+def check_next_setpoint(loop: Loop, shared: StateFile) -> bool:
     """Whether every joint's next setpoint is finite and inside its limits; latches the first that is not.
 
     Velocity and acceleration are differences of the positions themselves, not of what the sampler claims. A setpoint
@@ -73,7 +73,7 @@ def setpoint_sum(commanded: Commanded) -> float:
 
 
 @jit
-def may_be_sent(loop: Loop, shared: State, joint: int, position: float, velocity: float = 0.0) -> bool:
+def may_be_sent(loop: Loop, shared: StateFile, joint: int, position: float, velocity: float = 0.0) -> bool:
     """The last check before a family makes a frame of what leads its drive, in whatever unit.
 
     What makes that of a setpoint (errors, ramps, bounds) comes after `check_next_setpoint`, and most frames hold whole

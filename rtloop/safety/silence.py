@@ -6,7 +6,7 @@ They are for people. Nothing in the cycle is decided by them.
 from compilation.jit import jit
 from rtloop.memory.state import Loop
 from rtloop.wire import received
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import BusState, Evidence
 
 # numba adds up no members of an enumeration, so they are plain integers here.
@@ -18,7 +18,7 @@ _SIMULATED = int(Evidence.SIMULATED)
 
 
 @jit
-def follow(loop: Loop, shared: State) -> None:
+def follow(loop: Loop, shared: StateFile) -> None:
     """Once a cycle, behind all that the bus brought: note each sign, and count anew from the last frame of a drive."""
     quiet, counters = loop.quiet, shared.counters
     if quiet.adapter_words != quiet.adapter_words_before:
@@ -34,7 +34,7 @@ def follow(loop: Loop, shared: State) -> None:
 
 
 @jit
-def evidence(loop: Loop, shared: State) -> int:
+def evidence(loop: Loop, shared: StateFile) -> int:
     """Bits of shm.words.Evidence since the last frame of a drive."""
     timing, params, quiet, counters = loop.timing, loop.params, loop.quiet, shared.counters
     found = 0

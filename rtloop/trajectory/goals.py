@@ -32,7 +32,7 @@ from rtloop.trajectory.phases import (
     tell_why_it_stops,
     waits,
 )
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Mode, Outcome, Phase, Slowed
 
 _LATE_DRIVE, _STARVING, _MAKING_WAY = int(Slowed.LATE_DRIVE), int(Slowed.STARVING), int(Slowed.MAKING_WAY)
@@ -43,7 +43,7 @@ COVER_S = 1.0
 
 
 @jit
-def enter_newer_goal(loop: Loop, shared: State) -> None:
+def enter_newer_goal(loop: Loop, shared: StateFile) -> None:
     """Let a newer goal take over once enough of it is here, it is due, and a bounded way onto it exists."""
     goals, newer = loop.goals, incoming(loop)
     if not waits(loop) or loop.motion.resync_ns != 0:
@@ -113,7 +113,7 @@ def why_not_to_wait(loop: Loop) -> tuple[int, float, float]:
 
 
 @jit
-def refused_as_too_far(loop: Loop, shared: State, entry_s: float) -> bool:
+def refused_as_too_far(loop: Loop, shared: StateFile, entry_s: float) -> bool:
     """Refuse the newer goal if the place where it would be entered is not where the arm is."""
     joint, distance = entry_distance(loop, incoming(loop), entry_s)
     tolerance = loop.params.start_tolerance_rad
@@ -124,7 +124,7 @@ def refused_as_too_far(loop: Loop, shared: State, entry_s: float) -> bool:
 
 
 @jit
-def start_incoming(loop: Loop, shared: State) -> None:
+def start_incoming(loop: Loop, shared: StateFile) -> None:
     """Let the path that has just become the active one run; the goal of the other is over."""
     goals = loop.goals
     older = loop.paths[incoming(loop)]
@@ -138,7 +138,7 @@ def start_incoming(loop: Loop, shared: State) -> None:
 
 
 @jit
-def finish_running(loop: Loop, shared: State, outcome: int, joint: int, value: float, limit: float) -> None:
+def finish_running(loop: Loop, shared: StateFile, outcome: int, joint: int, value: float, limit: float) -> None:
     """No goal runs any more; the one that did has this outcome, if it was not told another before."""
     goals = loop.goals
     end_goal(loop, shared, goals.active, outcome, joint, value, limit)
@@ -150,7 +150,7 @@ def finish_running(loop: Loop, shared: State, outcome: int, joint: int, value: f
 
 
 @jit
-def finish_stopped(loop: Loop, shared: State) -> None:
+def finish_stopped(loop: Loop, shared: StateFile) -> None:
     """The arm stands; the goal has the outcome for which it was stopped."""
     running = loop.paths[loop.goals.active]
     joint, value, limit = running.reason_joint, running.reason_value, running.reason_limit
@@ -163,7 +163,7 @@ def front_is_lost(loop: Loop) -> bool:
 
 
 @jit
-def steer(loop: Loop, shared: State) -> None:
+def steer(loop: Loop, shared: StateFile) -> None:
     """Decide how fast the trajectory clock should run, and begin the stops that are not commanded."""
     goals = loop.goals
     loop.search.checks_left = LOOKS_A_CYCLE
@@ -250,7 +250,7 @@ def judge_supply(loop: Loop) -> None:
 
 
 @jit
-def judge_goal(loop: Loop, shared: State) -> None:
+def judge_goal(loop: Loop, shared: StateFile) -> None:
     """Decide a goal whose motion is over: arrived and inside its tolerances, or stopped as asked."""
     goals, clock = loop.goals, loop.clock
     if not runs(loop):
@@ -275,7 +275,7 @@ def judge_goal(loop: Loop, shared: State) -> None:
 
 
 @jit
-def judge_arrival(loop: Loop, shared: State) -> None:
+def judge_arrival(loop: Loop, shared: StateFile) -> None:
     """Success once every joint was measured, at rest on the last point, inside its tolerances; patience ends."""
     running = loop.paths[loop.goals.active]
     if running.phase == Phase.PAUSED:

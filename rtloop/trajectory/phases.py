@@ -11,7 +11,7 @@ each of them → none: refused, replaced, or the drives have stopped the arm by 
 from compilation.jit import jit
 from rtloop.memory.events import set_result
 from rtloop.memory.state import Loop
-from shm.layout import State
+from shm.layout import StateFile
 from shm.words import Outcome, Phase, Slowed
 
 ALLOWED = {
@@ -84,7 +84,7 @@ def stop_running(loop: Loop, outcome: int, joint: int, value: float, limit: floa
 
 @jit
 def tell_result(
-    loop: Loop, shared: State, path_index: int, outcome: int, joint: int, value: float, limit: float
+    loop: Loop, shared: StateFile, path_index: int, outcome: int, joint: int, value: float, limit: float
 ) -> None:
     """Decide the goal of a path; the first decision stands."""
     path = loop.paths[path_index]
@@ -94,7 +94,7 @@ def tell_result(
 
 
 @jit
-def tell_why_it_stops(loop: Loop, shared: State) -> None:
+def tell_why_it_stops(loop: Loop, shared: StateFile) -> None:
     """Decide the goal that stops with the reason for which it does, before the arm stands."""
     running = loop.paths[loop.goals.active]
     joint, value, limit = running.reason_joint, running.reason_value, running.reason_limit
@@ -102,14 +102,16 @@ def tell_why_it_stops(loop: Loop, shared: State) -> None:
 
 
 @jit
-def end_goal(loop: Loop, shared: State, path_index: int, outcome: int, joint: int, value: float, limit: float) -> None:
+def end_goal(
+    loop: Loop, shared: StateFile, path_index: int, outcome: int, joint: int, value: float, limit: float
+) -> None:
     """Let the goal of a path, if there is one, be over."""
     if change_phase(loop, path_index, Phase.NONE):
         tell_result(loop, shared, path_index, outcome, joint, value, limit)
 
 
 @jit
-def end_waiting(loop: Loop, shared: State, outcome: int, joint: int, value: float, limit: float) -> None:
+def end_waiting(loop: Loop, shared: StateFile, outcome: int, joint: int, value: float, limit: float) -> None:
     """Let the goal that waits, if there is one, not be begun."""
     slow_down(loop, _MAKING_WAY, False)
     end_goal(loop, shared, incoming(loop), outcome, joint, value, limit)
@@ -117,7 +119,7 @@ def end_waiting(loop: Loop, shared: State, outcome: int, joint: int, value: floa
 
 @jit
 def raise_epoch(
-    loop: Loop, shared: State, outcome: int, joint: int = -1, value: float = 0.0, limit: float = 0.0
+    loop: Loop, shared: StateFile, outcome: int, joint: int = -1, value: float = 0.0, limit: float = 0.0
 ) -> None:
     """What arrived before this never begins; the goal that waits ends with the outcome."""
     loop.goals.epoch += 1

@@ -11,7 +11,7 @@ from rtloop.memory.link import TX_BYTES
 from rtloop.memory.state import Loop
 from rtloop.wire import framed
 from rtloop.wire.found import FRAME, NOTHING
-from shm.layout import State
+from shm.layout import StateFile
 
 LONGEST_FRAME_BYTES = 17
 SHORTEST_FRAME_BYTES = 9
@@ -49,7 +49,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
 
 @jit
-def next_frame(loop: Loop, shared: State, end: int) -> tuple[int, int, int, int, int]:
+def next_frame(loop: Loop, shared: StateFile, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME, id, kind, length, data) of the next extended data frame in the receive ring up to `end`, or NOTHING.
 
     The bytes up to the end of the frame are consumed; bytes that belong to no frame are counted as a wire error.

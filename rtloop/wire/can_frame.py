@@ -10,7 +10,7 @@ from rtloop.memory.link import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_
 from rtloop.memory.state import Loop
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
-from shm.layout import State
+from shm.layout import StateFile
 
 LONGEST_DATA = 8
 _LENGTH_AT = 4
@@ -98,7 +98,7 @@ def decode_record(loop: Loop, at: int) -> tuple[int, int, int, int, int]:
 
 
 @jit
-def next_frame(loop: Loop, shared: State, end: int) -> tuple[int, int, int, int, int]:
+def next_frame(loop: Loop, shared: StateFile, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME or CONTROLLER_ERROR, id, kind, length, data) of the next one in the receive ring up to `end`, or NOTHING.
 
     The records up to it are consumed; invalid ones are counted as wire errors.

@@ -15,7 +15,7 @@ from rtloop.memory.state import Loop
 from rtloop.memory.updates import stop_came_back
 from rtloop.wire import can_frame, wires
 from rtloop.wire.can_words import JOINED, STOP
-from shm.layout import State
+from shm.layout import StateFile
 
 LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE
 """Bytes of a frame that no wire exceeds."""
@@ -32,7 +32,7 @@ def frame_bits(kind: int, length: int) -> int:
 
 @jit
 def send(
-    loop: Loop, shared: State, frame_id: int, kind: int, length: int, data: int, joined: int = 0, stops: int = -1
+    loop: Loop, shared: StateFile, frame_id: int, kind: int, length: int, data: int, joined: int = 0, stops: int = -1
 ) -> bool:
     """Append a frame to the transmit buffer (see `put`), and count it as sent; False if there is no room.
 
@@ -80,7 +80,7 @@ def has_room(loop: Loop, frames: int) -> bool:
 
 
 @jit
-def begin(loop: Loop, shared: State) -> None:
+def begin(loop: Loop, shared: StateFile) -> None:
     """Make room for a cycle's frames: of the frames left over, only those that are owed to a drive stay."""
     outgoing = loop.outgoing
     outgoing.bits = 0
@@ -90,7 +90,7 @@ def begin(loop: Loop, shared: State) -> None:
 
 
 @jit
-def took(loop: Loop, shared: State, sent: int) -> None:
+def took(loop: Loop, shared: StateFile, sent: int) -> None:
     """Remove the first `sent` bytes, which the wire has taken, and drop the rest except the frames that are owed.
 
     Those are sent before the frames of the next cycle.
@@ -112,7 +112,7 @@ def took(loop: Loop, shared: State, sent: int) -> None:
 
 
 @jit
-def keep(loop: Loop, shared: State, sent: int, first: int, end: int) -> None:
+def keep(loop: Loop, shared: StateFile, sent: int, first: int, end: int) -> None:
     """Keep the frames from `first` up to, not including, `end`, and remove the first `sent` bytes.
 
     The frames before `first` were sent: they are recorded in the flight recorder. The frames from `end` on are dropped:
@@ -155,7 +155,7 @@ def keep(loop: Loop, shared: State, sent: int, first: int, end: int) -> None:
 
 
 @jit
-def take_back(loop: Loop, shared: State, unsent: int) -> None:
+def take_back(loop: Loop, shared: StateFile, unsent: int) -> None:
     """Correct the counters for bytes that the wire took and did not send after all.
 
     `unsent` is their number since the start, a whole number of CAN frames.
@@ -168,7 +168,7 @@ def take_back(loop: Loop, shared: State, unsent: int) -> None:
 
 
 @jit
-def forget(loop: Loop, shared: State) -> None:
+def forget(loop: Loop, shared: StateFile) -> None:
     """Drop all frames, owed ones too, because the wire is gone or is another one."""
     loop.outgoing.owed = 0
     begin(loop, shared)

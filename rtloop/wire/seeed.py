@@ -12,7 +12,7 @@ from rtloop.memory.link import TX_BYTES
 from rtloop.memory.state import Loop
 from rtloop.wire import framed
 from rtloop.wire.found import FRAME, NOTHING
-from shm.layout import State
+from shm.layout import StateFile
 
 START, END = 0xAA, 0x55
 LONGEST_FRAME_BYTES = 15
@@ -50,7 +50,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
 
 @jit
-def next_frame(loop: Loop, shared: State, end: int) -> tuple[int, int, int, int, int]:
+def next_frame(loop: Loop, shared: StateFile, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME, id, kind, length, data) of the next data frame in the receive ring up to `end`, or NOTHING.
 
     The bytes up to the end of the frame are consumed; bytes that belong to no frame are counted as a wire error. Remote

@@ -15,7 +15,7 @@ from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.link import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
 from rtloop.memory.state import Loop
 from rtloop.wire.found import FRAME, NOTHING
-from shm.layout import State
+from shm.layout import StateFile
 
 CR = 13
 BEL = 7
@@ -120,7 +120,7 @@ def collect(loop: Loop, byte: int) -> bool:
 
 
 @jit
-def next_frame(loop: Loop, shared: State, end: int) -> tuple[int, int, int, int, int]:
+def next_frame(loop: Loop, shared: StateFile, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME, id, kind, length, data) of the next data frame in the receive ring up to `end`, or NOTHING.
 
     The characters up to its end are consumed; refusals (BEL) and garbled lines are counted as wire errors.

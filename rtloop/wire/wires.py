@@ -8,7 +8,7 @@ from rtloop.memory.link import WIRE_AT, WIRE_SEEED, WIRE_SLCAN
 from rtloop.memory.state import Loop
 from rtloop.wire import at_frames, can_frame, seeed, slcan
 from rtloop.wire.found import NOTHING
-from shm.layout import State
+from shm.layout import StateFile
 
 
 @jit
@@ -30,7 +30,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
 
 
 @jit
-def next_frame(loop: Loop, shared: State, end: int) -> tuple[int, int, int, int, int]:
+def next_frame(loop: Loop, shared: StateFile, end: int) -> tuple[int, int, int, int, int]:
     """(found.…, id, kind, length, data) of the next frame in the receive ring up to `end`; invalid bytes are counted.
 
     NOTHING once all bytes up to `end` are consumed; the beginning of an incomplete frame is kept for the next call.

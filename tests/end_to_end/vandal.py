@@ -15,7 +15,7 @@ from shm import layout
 from shm.record import offset_of
 
 HEADS = [
-    offset_of(layout.Command, name) // 8
+    offset_of(layout.CommandFile, name) // 8
     for name in ("heartbeat_ns", "announced_goal", "setpoints_written", "requests_written")
 ]
 

@@ -18,7 +18,7 @@ from rtloop.memory.state import Loop
 from rtloop.trajectory.phases import runs, waits
 from shm import layout
 from shm.atomics import load_relaxed, store_relaxed
-from shm.layout import State
+from shm.layout import StateFile
 from shm.record import offset_of
 from shm.seqlock import copy_words, crc32_at
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint
@@ -36,7 +36,7 @@ ROUNDING = 1.0 + 1e-6
 WHOLE_FILE, MOSTLY_SOUND, WELL_MADE = range(3)
 """How hostile a writer is: bits and heads anywhere; one corrupt thing now and then; only the numbers are hostile."""
 
-_COMMAND = layout.Command
+_COMMAND = layout.CommandFile
 HEARTBEAT = offset_of(_COMMAND, "heartbeat_ns")
 _ANNOUNCED = offset_of(_COMMAND, "announced_goal")
 _WRITTEN = offset_of(_COMMAND, "setpoints_written")
@@ -320,7 +320,7 @@ def write_hostile(loop: Loop, command: int, how: int, goal: int, box: np.ndarray
 
 
 @jit
-def bring_up(loop: Loop, shared: State) -> None:
+def bring_up(loop: Loop, shared: StateFile) -> None:
     """What the conversation in ordinary Python does for a mock arm."""
     orders.begin_bring_up(loop, shared)
     if loop.mode == Mode.BRINGING_UP:
@@ -383,7 +383,7 @@ _MODES, _FAULTS, _OUTCOMES, _ANSWERS = (int(max(words)) for words in (Mode, Faul
 
 
 @jit
-def words_known(loop: Loop, shared: State, seen: np.ndarray) -> bool:
+def words_known(loop: Loop, shared: StateFile, seen: np.ndarray) -> bool:
     """Whether everything the loop has decided has a name; notes what it was."""
     known = word_seen(loop.mode, _MODES, seen, 0) and word_seen(loop.fault.code, _FAULTS, seen, 1)
     for i in range(layout.RESULT_SLOTS):
@@ -417,7 +417,9 @@ def standing(loop: Loop) -> np.ndarray:
 
 
 @jit
-def run_case(loop: Loop, shared: State, fresh: int, seed: int, case: int, seen: np.ndarray, verdict: np.ndarray) -> int:
+def run_case(
+    loop: Loop, shared: StateFile, fresh: int, seed: int, case: int, seen: np.ndarray, verdict: np.ndarray
+) -> int:
     """Run one case; what it is guilty of. `fresh` is the address of a loop's memory as it should begin."""
     np.random.seed((seed * 1_000_003 + case) & 0xFFFFFFFF)
     refresh(loop, fresh, case)
@@ -462,7 +464,7 @@ def clear_fault(command: int) -> None:
 @jit
 def run_cases(
     loop: Loop,
-    shared: State,
+    shared: StateFile,
     fresh: int,
     seed: int,
     first: int,
@@ -480,7 +482,7 @@ def run_cases(
 
 
 @jit
-def follow(loop: Loop, shared: State, start_ns: int, most_cycles: int, verdict: np.ndarray) -> int:
+def follow(loop: Loop, shared: StateFile, start_ns: int, most_cycles: int, verdict: np.ndarray) -> int:
     """Let the goal in the ring be executed under the judge's eyes until nothing moves; what it is guilty of."""
     before = standing(loop)
     now_ns = start_ns

@@ -27,12 +27,12 @@ from rtloop.service.port import IN, TAKEN, WRITTEN
 from rtloop.wire import received
 from shm import layout
 from shm.atomics import load_acquire, load_relaxed, store_relaxed, store_release
-from shm.layout import State
+from shm.layout import StateFile
 from shm.record import offset_of
 from shm.seqlock import copy_words, publish, read
 
-_EVENTS_WRITTEN = offset_of(layout.State, "events_written")
-_EVENTS = offset_of(layout.State, "events")
+_EVENTS_WRITTEN = offset_of(layout.StateFile, "events_written")
+_EVENTS = offset_of(layout.StateFile, "events")
 _EVENT_BYTES = layout.Event.dtype.itemsize
 MOST_EVENTS_BEHIND = layout.EVENT_SLOTS - 8
 
@@ -150,7 +150,7 @@ def obey_orders(table: int, loop: Loop, count: int) -> int:
 
 
 @jit
-def write_events(table: int, loop: Loop, shared: State) -> int:
+def write_events(table: int, loop: Loop, shared: StateFile) -> int:
     """Record events until told to stop; how many."""
     number = 0
     while load_relaxed(table) == 0:
@@ -280,7 +280,7 @@ def orders(reads: int) -> Counted:
 
 def events(reads: int) -> Counted:
     """The event ring, which is overwritten from the oldest."""
-    state = np.zeros(1, layout.State.dtype)
+    state = np.zeros(1, layout.StateFile.dtype)
     loop = new_loop(load_arm("mock"), state.ctypes.data, 0)
     target = np.zeros(16, np.int64)
     return pair(

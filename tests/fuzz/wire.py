@@ -19,7 +19,7 @@ from rtloop.memory.state import Loop
 from rtloop.service.port import OUT, TAKEN, WRITTEN
 from rtloop.wire import received
 from shm.atomics import store_relaxed
-from shm.layout import State
+from shm.layout import StateFile
 
 CYCLES = 40
 MOST_BYTES = 2048
@@ -196,7 +196,14 @@ def judge_bytes(loop: Loop, count: int, verdict: np.ndarray) -> int:
 
 @jit
 def run_case(
-    loop: Loop, shared: State, fresh: int, seed: int, case: int, seen: np.ndarray, verdict: np.ndarray, out: np.ndarray
+    loop: Loop,
+    shared: StateFile,
+    fresh: int,
+    seed: int,
+    case: int,
+    seen: np.ndarray,
+    verdict: np.ndarray,
+    out: np.ndarray,
 ) -> int:
     """Run one case; what it is guilty of."""
     np.random.seed((seed * 1_000_003 + case) & 0xFFFFFFFF)
@@ -235,7 +242,7 @@ def run_case(
 @jit
 def run_cases(
     loop: Loop,
-    shared: State,
+    shared: StateFile,
     fresh: int,
     seed: int,
     first: int,

@@ -256,7 +256,7 @@ class FakeLoop(threading.Thread):
     def write(self):
         used = layout.used_bytes(layout.Snapshot, self.joints)
         raw = self.snapshot.tobytes()[:used]
-        at = offset_of(layout.State, "snapshot")
+        at = offset_of(layout.StateFile, "snapshot")
         target = self.files.state.array.view(np.uint8)
         self.state["snapshot_sequence"][0] += 1
         target[at + 8 : at + used] = np.frombuffer(raw[8:], np.uint8)

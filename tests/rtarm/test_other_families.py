@@ -125,7 +125,7 @@ def test_why_a_drive_has_an_error_reaches_people() -> None:
 
 def test_which_joints_home_by_a_run_stands_in_the_state_file() -> None:
     def shown_of(arm: ArmConfig) -> list[int]:
-        state = np.zeros((), layout.State.dtype)
+        state = np.zeros((), layout.StateFile.dtype)
         show_drives(state[()], arm)
         homes: list[int] = state["limits"]["joints"]["homes"][:6].tolist()
         return homes

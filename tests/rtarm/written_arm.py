@@ -46,7 +46,7 @@ class WrittenArm:
         self.rows["measured_ns"] = now_ns - 1_000_000 if read else 0
         used = layout.used_bytes(layout.Snapshot, len(JOINTS))
         body = self.snapshot.tobytes()[8:used]
-        at = offset_of(layout.State, "snapshot")
+        at = offset_of(layout.StateFile, "snapshot")
         self.state["snapshot_sequence"][0] += 1
         target = self.files.state.array.view(np.uint8)
         target[at : at + used] = np.frombuffer(zlib.crc32(body).to_bytes(8, "little") + body, np.uint8)

@@ -19,8 +19,8 @@ from shm.seqlock import copy_words, crc32_at, publish
 
 JOINTS = 6
 WORDS = layout.used_bytes(layout.Snapshot, JOINTS) // 8
-SEQUENCE = offset_of(layout.State, "snapshot_sequence")
-SNAPSHOT = offset_of(layout.State, "snapshot")
+SEQUENCE = offset_of(layout.StateFile, "snapshot_sequence")
+SNAPSHOT = offset_of(layout.StateFile, "snapshot")
 
 
 @jit

@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ARM_HASH = 0x1234_5678_9ABC
 PERIOD_NS, BITRATE = 8_333_333, 500_000
 RINGS = layout.rings(2, PERIOD_NS, BITRATE)
-FIXED = layout.State.dtype.itemsize
+FIXED = layout.StateFile.dtype.itemsize
 
 
 def identity(arm):
@@ -96,7 +96,7 @@ def loop_process(swept):
 
 
 def test_files_are_private_complete_and_described(created, arm_name):
-    for memory, size in ((created.state, RINGS.file_bytes), (created.command, layout.Command.dtype.itemsize)):
+    for memory, size in ((created.state, RINGS.file_bytes), (created.command, layout.CommandFile.dtype.itemsize)):
         status = os.stat(memory.path, follow_symlinks=False)
         assert stat.S_ISREG(status.st_mode) and stat.S_IMODE(status.st_mode) == 0o600
         assert status.st_size == len(memory.map) == size

@@ -22,11 +22,11 @@ UNITS = {
 """Ending of a word's name → its unit; the longest ending that fits decides."""
 
 POLLED = {
-    layout.State: (
+    layout.StateFile: (
         *("consumed", "snapshot_sequence", "counters"),
         *("events_written", "records_written", "frames_written"),
     ),
-    layout.Command: ("front_pid", "heartbeat_ns", "announced_goal", "setpoints_written", "requests_written"),
+    layout.CommandFile: ("front_pid", "heartbeat_ns", "announced_goal", "setpoints_written", "requests_written"),
 }
 """Words that one process writes while another looks at them again and again."""
 
@@ -52,7 +52,7 @@ def unit_of(name: str) -> str:
     return UNITS[max(endings, key=len)] if endings else ""
 
 
-@pytest.mark.parametrize("file", [layout.State, layout.Command])
+@pytest.mark.parametrize("file", [layout.StateFile, layout.CommandFile])
 def test_every_word_is_eight_bytes_and_aligned(file):
     for path, offset, dtype in leaves(file.dtype):
         assert offset % 8 == 0, path
@@ -89,14 +89,14 @@ def test_indexes_can_be_masked(name):
 def test_hash_is_stable_positive_and_sees_a_changed_word(monkeypatch):
     original = layout.layout_hash()
     assert original == layout.layout_hash() and 0 < original < 2**63
-    words = copy.copy(layout.Command.dtype.descr)
+    words = copy.copy(layout.CommandFile.dtype.descr)
     for changed in (
         [*words[:-1], ("records", *words[-1][1:])],  # another name
         [*words, ("more", "<i8")],
         [words[0], words[2], words[1], *words[3:]],  # another order
         [*words[:1], (words[1][0], "<f8", words[1][2]), *words[2:]],  # another type
     ):
-        monkeypatch.setattr(layout.Command, "dtype", np.dtype(changed))
+        monkeypatch.setattr(layout.CommandFile, "dtype", np.dtype(changed))
         assert layout.layout_hash() != original
 
 
@@ -109,7 +109,7 @@ def test_every_word_says_its_unit_and_meaning(table, name):
 
 def test_every_word_of_both_files_is_in_the_table():
     listed = {word for table in layout.TABLES for word in table.words}
-    for file in (layout.State, layout.Command, layout.CycleRecord, layout.BusFrame):
+    for file in (layout.StateFile, layout.CommandFile, layout.CycleRecord, layout.BusFrame):
         assert {path.rsplit(".", 1)[-1] for path, _, _ in leaves(file.dtype)} <= listed
 
 
@@ -133,7 +133,7 @@ def test_the_recorder_keeps_half_a_minute_of_any_arm(joints, rate_hz):
     assert rings.record_slots >= 32 * rate_hz
     assert rings.frame_slots >= rings.record_slots * (4 * joints + 2)
     assert rings.record_bytes == layout.used_bytes(layout.CycleRecord, joints)
-    assert (layout.State.dtype.itemsize % layout.LINE_BYTES, rings.file_bytes % 8) == (0, 0)
+    assert (layout.StateFile.dtype.itemsize % layout.LINE_BYTES, rings.file_bytes % 8) == (0, 0)
     assert layout.rings(joints, round(1e9 / rate_hz), 0).frame_slots == 0
 
 

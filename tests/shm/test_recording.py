@@ -26,7 +26,7 @@ def small(monkeypatch):
     """A loop of six mock joints whose rings hold five cycles, and 130 frames."""
     arm = load_arm("episode1", overrides={"bus": {"channel": "nowhere"}})
     monkeypatch.setattr(layout, "RECORDED_NS", SLOTS * arm.control.period_ns)
-    state, command = private_file(layout.State.dtype, arm), private_file(layout.Command.dtype, arm)
+    state, command = private_file(layout.StateFile.dtype, arm), private_file(layout.CommandFile.dtype, arm)
     yield new_loop(arm, state.address, command.address), state
     state.close()
     command.close()
@@ -50,7 +50,7 @@ def test_the_newest_cycles_are_read_in_order_however_often_the_ring_has_gone_rou
     with pytest.MonkeyPatch.context() as patch:
         arm = load_arm("mock")
         patch.setattr(layout, "RECORDED_NS", SLOTS * arm.control.period_ns)
-        state, command = private_file(layout.State.dtype, arm), private_file(layout.Command.dtype, arm)
+        state, command = private_file(layout.StateFile.dtype, arm), private_file(layout.CommandFile.dtype, arm)
         made = new_loop(arm, state.address, command.address), state
         written = 0
         for batch in batches:
@@ -71,12 +71,12 @@ def test_a_spoilt_word_anywhere_in_a_record_is_noticed(data):
     with pytest.MonkeyPatch.context() as patch:
         arm = load_arm("mock")
         patch.setattr(layout, "RECORDED_NS", SLOTS * arm.control.period_ns)
-        state, command = private_file(layout.State.dtype, arm), private_file(layout.Command.dtype, arm)
+        state, command = private_file(layout.StateFile.dtype, arm), private_file(layout.CommandFile.dtype, arm)
         record((new_loop(arm, state.address, command.address), state), 0, 3)
         size = layout.used_bytes(layout.CycleRecord, len(arm.joints))
         word = data.draw(st.integers(0, 3 * size // 8 - 1))
         words = np.frombuffer(state.map, np.int64)
-        at = layout.State.dtype.itemsize // 8 + word
+        at = layout.StateFile.dtype.itemsize // 8 + word
         words[at] ^= data.draw(st.integers(1, 2**63 - 1))
         found = read_recording(state)
         assert (len(found.records), found.lost) == (2, 1)
@@ -91,10 +91,10 @@ def test_a_half_overwritten_record_is_left_out_and_counted(small):
     record(small, 0, SLOTS + 2)
     newest = (SLOTS + 1) % SLOTS
     size = layout.used_bytes(layout.CycleRecord, 6)
-    at = layout.State.dtype.itemsize + newest * size
+    at = layout.StateFile.dtype.itemsize + newest * size
     half = size // 2
     older = (newest + 2) % SLOTS
-    state.map[at : at + half] = state.map[layout.State.dtype.itemsize + older * size :][:half]
+    state.map[at : at + half] = state.map[layout.StateFile.dtype.itemsize + older * size :][:half]
     found = read_recording(state)
     assert (numbers(found), found.lost) == ([3, 4, 5], 1)
 
@@ -128,7 +128,7 @@ def test_frames_are_read_as_they_were_recorded(small):
     assert found.lost == 0
     described = state.record["recorder"]
     rings_at = int(described["record_slots"] * described["record_bytes"])
-    ring = np.frombuffer(state.map, layout.BusFrame.dtype, slots, rings_at + layout.State.dtype.itemsize)
+    ring = np.frombuffer(state.map, layout.BusFrame.dtype, slots, rings_at + layout.StateFile.dtype.itemsize)
     ring["data"][7] += 1
     assert read_recording(state).lost == 1
     del ring

@@ -78,7 +78,7 @@ def is_fast(name: str) -> bool:
 
 
 class Published:
-    """What a control process has published, read cycle by cycle from its state file's record (layout.State)."""
+    """What a control process has published, read cycle by cycle from its state file's record (layout.StateFile)."""
 
     def __init__(self) -> None:
         self._cycles: list[Any] = []

@@ -85,7 +85,7 @@ def test_a_record_that_is_not_whole_yet_is_left_for_the_next_time(arm: VirtualAr
     since = now_at(arm.state)
     arm.cycles(3)
     size, slots = (int(arm.state.record["recorder"][name]) for name in ("record_bytes", "record_slots"))
-    at = layout.State.dtype.itemsize + (since.records + 2) % slots * size + 64
+    at = layout.StateFile.dtype.itemsize + (since.records + 2) % slots * size + 64
     words = np.frombuffer(arm.state.map, np.int64)
     words[at // 8] ^= 1
     piece, after = read_on(arm.state, since)

@@ -22,7 +22,7 @@ from shm.errors import RingFull
 from shm.record import offset_of
 from shm.words import Answer, Fault, Mode, Outcome, Request, Setpoint
 
-BODY_AT = offset_of(layout.Command, "front_pid")
+BODY_AT = offset_of(layout.CommandFile, "front_pid")
 GOAL_S = 4.0
 
 trials = settings(
@@ -106,7 +106,10 @@ class Judged(VirtualArm):
             b"".join(struct.pack("<d" if isinstance(word, float) else "<q", word) for word in words)
             + values.astype("<f8").tobytes()
         )
-        at = offset_of(layout.Command, "setpoints") + (written % layout.SETPOINT_SLOTS) * layout.Setpoint.dtype.itemsize
+        at = (
+            offset_of(layout.CommandFile, "setpoints")
+            + (written % layout.SETPOINT_SLOTS) * layout.Setpoint.dtype.itemsize
+        )
         whole = struct.pack("<q", zlib.crc32(body) if crc is None else crc) + body
         self.command.map[at : at + len(whole)] = whole
         self.set_word("setpoints_written", written + 1)
@@ -562,7 +565,7 @@ def test_requests_that_say_anything(stream):
     for kind, mask, value in stream:
         packed = struct.pack("<qqdqqqq", int(arm.command.record["requests_written"][0]) + 1, kind, value, 0, mask, 0, 0)
         slot = int(arm.command.record["requests_written"][0]) % layout.REQUEST_SLOTS
-        at = offset_of(layout.Command, "requests") + slot * layout.Request.dtype.itemsize
+        at = offset_of(layout.CommandFile, "requests") + slot * layout.Request.dtype.itemsize
         arm.command.map[at : at + layout.Request.dtype.itemsize] = struct.pack("<q", zlib.crc32(packed)) + packed
         arm.set_word("requests_written", arm.command.record["requests_written"][0] + 1)
         arm.cycle()

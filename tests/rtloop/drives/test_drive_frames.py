@@ -107,7 +107,7 @@ class Drive:
         family = name.split(maxsplit=1)[0]
         self.module = importlib.import_module(f"rtloop.drives.{family}")
         arm = load_arm(FILES.get(name, f"{family}6"), overrides=ARMS[name])
-        self.loop, self.shared = new_loop(arm, 0, 0), np.zeros(1, layout.State.dtype)
+        self.loop, self.shared = new_loop(arm, 0, 0), np.zeros(1, layout.StateFile.dtype)
         self.memory, self.axis = self.loop[0], self.loop[0]["axes"][JOINT]
         self.memory["timing"]["now_ns"], self.memory["timing"]["cycle"] = NOW_NS, 12
         self.axis["commanded"]["position_rad"] = self.axis["commanded"]["next_position_rad"] = 0.5

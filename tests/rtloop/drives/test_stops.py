@@ -56,7 +56,7 @@ def test_a_drive_that_is_not_heard_any_more_is_not_taken_back(name: str) -> None
 )
 def test_nothing_is_told_where_nobody_knows_the_place(name: str, unknown: tuple[str, str, int] | None) -> None:
     """Nothing read since the zero was set anew, an implausible reading, an old one; else it is told to stay."""
-    cycle = SimpleNamespace(loop=new_loop(load_arm(name), 0, 0), shared=np.zeros(1, layout.State.dtype))
+    cycle = SimpleNamespace(loop=new_loop(load_arm(name), 0, 0), shared=np.zeros(1, layout.StateFile.dtype))
     axis = cycle.loop[0]["axes"][1]
     axis["reply"]["position_rad"] = axis["measured"]["position_rad"] = 0.5
     axis["measured"]["readings"] = 3

@@ -34,7 +34,7 @@ class StandingArm:
     """An arm whose joints stand in the middle of their ranges, and whose next setpoints a test chooses."""
 
     def __init__(self) -> None:
-        self.shared = np.zeros(1, layout.State.dtype)
+        self.shared = np.zeros(1, layout.StateFile.dtype)
         self.loop = new_loop(ARM, self.shared.ctypes.data, 0)
         self.memory = self.loop[0]
         self.memory["mode"] = Mode.EXECUTING

@@ -499,7 +499,7 @@ def test_options_are_what_the_file_and_the_drives_say():
 @pytest.fixture
 def cycle():
     """The loop's record and counters of an arm on python-can that has not run yet."""
-    shared = np.zeros(1, layout.State.dtype)
+    shared = np.zeros(1, layout.StateFile.dtype)
     return SimpleNamespace(loop=new_loop(arm_on("virtual"), shared.ctypes.data, 0), shared=shared)
 
 

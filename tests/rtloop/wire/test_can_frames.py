@@ -27,7 +27,7 @@ relaxed = settings(deadline=None, max_examples=examples(200))
 
 @pytest.fixture
 def shared():
-    return np.zeros(1, layout.State.dtype)
+    return np.zeros(1, layout.StateFile.dtype)
 
 
 @pytest.fixture

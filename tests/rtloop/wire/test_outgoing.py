@@ -33,7 +33,7 @@ class Sender:
         self.loop = new_loop(
             load_arm("episode1", overrides={"bus": {"interface": interface, **BESIDES.get(interface, {})}}), 0, 0
         )
-        self.shared = np.zeros(1, layout.State.dtype)
+        self.shared = np.zeros(1, layout.StateFile.dtype)
         self.is_serial = interface == "slcan"
 
     def fill(self, mark, frames=CYCLE):

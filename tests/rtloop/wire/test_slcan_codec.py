@@ -39,7 +39,7 @@ def loop(arm):
 
 @pytest.fixture
 def shared():
-    return np.zeros(1, layout.State.dtype)
+    return np.zeros(1, layout.StateFile.dtype)
 
 
 def encoded(loop, frame):
@@ -195,7 +195,7 @@ POSITION = b"T00000100736000001000" + b"06B\r"
 @relaxed
 @given(st.binary(max_size=2000))
 def test_no_bytes_whatever_hinder_the_next_frame(noise):
-    loop, shared = new_loop(load_arm("episode1"), 0, 0), np.zeros(1, layout.State.dtype)
+    loop, shared = new_loop(load_arm("episode1"), 0, 0), np.zeros(1, layout.StateFile.dtype)
     taken(loop, shared, noise + b"\r")
     assert taken(loop, shared, POSITION) == (1, 0)
     assert 0 <= loop[0]["parser"]["line_length"] <= LINE_BYTES

@@ -60,7 +60,7 @@ class Bench:
 
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
-        self.shared = np.zeros(1, layout.State.dtype)
+        self.shared = np.zeros(1, layout.StateFile.dtype)
         self.shared_address: int = self.shared.ctypes.data
         self.loop = new_loop(arm_of(wire.name), self.shared_address, 0)
         self.loop_address: int = self.loop.ctypes.data
