@@ -26,6 +26,7 @@ import numpy as np
 
 from shm import layout
 from shm.errors import AlreadyHeld, NotPermitted, NotRunning, RingFull, SharedMemoryError, WrongArm, WrongLayout
+from shm.record import Record
 
 DIRECTORY = Path("/dev/shm")
 PRODUCERS_PATIENCE_S = 0.05
@@ -178,10 +179,10 @@ def joint_names(header: np.void) -> tuple[str, ...]:
     return tuple(slots[at : at + layout.NAME_BYTES].rstrip(b"\0").decode() for at in starts)
 
 
-def _map(path: Path, fd: int, dtype: np.dtype, size: int, *, writable: bool) -> MemoryFile:
+def _map(path: Path, fd: int, record: type[Record], size: int, *, writable: bool) -> MemoryFile:
     protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
     mapped = mmap.mmap(fd, size, mmap.MAP_SHARED, protection)
-    return MemoryFile(path, fd, mapped, np.frombuffer(mapped, dtype=dtype, count=1))
+    return MemoryFile(path, fd, mapped, np.frombuffer(mapped, record.dtype, count=1))
 
 
 def _try_lock(fd: int, patience_s: float) -> bool:
@@ -237,14 +238,14 @@ def _create_locked(path: Path) -> int:
             os.unlink(path)
 
 
-def _build_aside(path: Path, dtype: np.dtype, size: int, identity: Identity) -> MemoryFile:
+def _build_aside(path: Path, record: type[Record], size: int, identity: Identity) -> MemoryFile:
     """A complete, locked file under a temporary name, every page allocated."""
     _remove_abandoned(path)
     aside = path.with_name(f"{path.name}.{os.getpid()}.new")
     fd = _create_locked(aside)
     try:
         os.posix_fallocate(fd, 0, size)
-        memory = _map(aside, fd, dtype, size, writable=True)
+        memory = _map(aside, fd, record, size, writable=True)
     except OSError as problem:
         os.close(fd)
         os.unlink(aside)
@@ -369,14 +370,13 @@ def create(identity: Identity) -> LoopFiles:
     Raises AlreadyHeld when another control process drives this arm.
     """
     rings = layout.rings(len(identity.joints), identity.period_ns, identity.bitrate)
-    state = _build_aside(state_path(identity.arm), layout.StateFile.dtype, rings.file_bytes, identity)
+    state = _build_aside(state_path(identity.arm), layout.StateFile, rings.file_bytes, identity)
     command = None
     try:
         state.record["recorder"] = rings.described()
-        commands = layout.CommandFile.dtype
-        command = _build_aside(command_path(identity.arm), commands, commands.itemsize, identity)
-        kept = _put_in_place(state, state_path(identity.arm))
         path = command_path(identity.arm)
+        command = _build_aside(path, layout.CommandFile, layout.CommandFile.dtype.itemsize, identity)
+        kept = _put_in_place(state, state_path(identity.arm))
         _rename(command.path, path)  # the state file's lock already settled who owns the arm
         command.path = path
         fcntl.flock(command.fd, fcntl.LOCK_UN)  # held so far, or it would be removed as abandoned
@@ -390,7 +390,7 @@ def create(identity: Identity) -> LoopFiles:
     return LoopFiles(state, command, keeps_previous=kept)
 
 
-def _open(path: Path, dtype: np.dtype, arm: str, arm_hash: int | None, *, writable: bool) -> MemoryFile:
+def _open(path: Path, record: type[Record], arm: str, arm_hash: int | None, *, writable: bool) -> MemoryFile:
     # O_NONBLOCK: opening a pipe that somebody put there would wait for its other end
     flags = (os.O_RDWR if writable else os.O_RDONLY) | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
@@ -404,10 +404,10 @@ def _open(path: Path, dtype: np.dtype, arm: str, arm_hash: int | None, *, writab
         ) from problem
     except OSError as problem:
         raise _not_ours(path, problem) from problem
-    return _attach(path, fd, dtype, arm, arm_hash, writable=writable)
+    return _attach(path, fd, record, arm, arm_hash, writable=writable)
 
 
-def _attach(path: Path, fd: int, dtype: np.dtype, arm: str, arm_hash: int | None, *, writable: bool) -> MemoryFile:
+def _attach(path: Path, fd: int, record: type[Record], arm: str, arm_hash: int | None, *, writable: bool) -> MemoryFile:
     """Map an open file, once it has been found to be what it should be; what is refused is closed."""
     try:
         status = os.fstat(fd)
@@ -416,14 +416,14 @@ def _attach(path: Path, fd: int, dtype: np.dtype, arm: str, arm_hash: int | None
         header = layout.Header.dtype
         found = np.frombuffer(os.pread(fd, header.itemsize, 0).ljust(header.itemsize), header)
         ours = layout.layout_hash()
-        size = _size_said(found[0], dtype)
+        size = _size_said(found[0], record)
         if found["magic"][0] != layout.MAGIC or found["layout_hash"][0] != ours or status.st_size != size:
             raise WrongLayout(
                 f"{path} has layout {int(found['layout_hash'][0]):016x}, this rtarm has {ours:016x}: the two "
                 "processes come from different versions; stop both and start them from one installation."
             )
         _require_hash(arm, int(found["arm_hash"][0]), arm_hash)
-        return _map(path, fd, dtype, size, writable=writable)
+        return _map(path, fd, record, size, writable=writable)
     except BaseException:
         os.close(fd)
         raise
@@ -437,12 +437,14 @@ def _require_hash(arm: str, found: int, wanted: int | None) -> None:
         )
 
 
-def _size_said(header: np.void, dtype: np.dtype) -> int:
+def _size_said(header: np.void, record: type[Record]) -> int:
     """How large a file with this header must be; -1 when the header cannot be right."""
     joints, period_ns, bitrate = (int(header[name]) for name in ("joint_count", "period_ns", "bitrate"))
     if not 0 < joints <= layout.MAX_JOINTS or period_ns <= 0:
         return -1
-    return layout.rings(joints, period_ns, bitrate).file_bytes if dtype is layout.StateFile.dtype else dtype.itemsize
+    if record is layout.StateFile:
+        return layout.rings(joints, period_ns, bitrate).file_bytes
+    return record.dtype.itemsize
 
 
 def require_not_running(arm: str) -> None:
@@ -468,7 +470,7 @@ def _already_running(pid: int, path: Path) -> AlreadyHeld:
 
 def open_state(arm: str, arm_hash: int | None = None) -> MemoryFile:
     """Map the state file read-only; raises NotRunning when no control process holds it."""
-    memory = _open(state_path(arm), layout.StateFile.dtype, arm, None, writable=False)
+    memory = _open(state_path(arm), layout.StateFile, arm, None, writable=False)
     if not is_held(memory.fd):  # before its configuration: whoever starts the arm again may have changed the file
         header = memory.record["header"]
         gone = NotRunning(
@@ -495,9 +497,9 @@ def left_behind(arm: str) -> MemoryFile:
     """
     path = state_path(arm)
     try:
-        return _open(path, layout.StateFile.dtype, arm, None, writable=False)
+        return _open(path, layout.StateFile, arm, None, writable=False)
     except NotRunning:
-        return _open(previous_path(arm), layout.StateFile.dtype, arm, None, writable=False)
+        return _open(previous_path(arm), layout.StateFile, arm, None, writable=False)
 
 
 class Died(NamedTuple):
@@ -514,7 +516,7 @@ def died_with(arm: str) -> Died | None:
     One that ended in order, or was refused before it was in service, is none.
     """
     try:
-        memory = _open(state_path(arm), layout.StateFile.dtype, arm, None, writable=False)
+        memory = _open(state_path(arm), layout.StateFile, arm, None, writable=False)
     except SharedMemoryError:
         return None
     try:
@@ -528,7 +530,7 @@ def died_with(arm: str) -> Died | None:
 
 def inherited_state(fd: int, arm: str) -> MemoryFile:
     """Map, read-only, a state file that another process has opened; it may have no name any more."""
-    return _attach(state_path(arm), fd, layout.StateFile.dtype, arm, None, writable=False)
+    return _attach(state_path(arm), fd, layout.StateFile, arm, None, writable=False)
 
 
 def was_removed(fd: int) -> bool:
@@ -549,13 +551,13 @@ def arms_left_behind() -> list[str]:
 
 def open_command(arm: str, arm_hash: int | None = None) -> MemoryFile:
     """Map the command file for writing requests; take no ownership."""
-    return _open(command_path(arm), layout.CommandFile.dtype, arm, arm_hash, writable=True)
+    return _open(command_path(arm), layout.CommandFile, arm, arm_hash, writable=True)
 
 
 def watch_command(arm: str, pid: int) -> MemoryFile | None:
     """Map the command file read-only; None where there is none of the control process with this pid."""
     try:
-        memory = _open(command_path(arm), layout.CommandFile.dtype, arm, None, writable=False)
+        memory = _open(command_path(arm), layout.CommandFile, arm, None, writable=False)
     except SharedMemoryError:
         return None
     if int(memory.record["header"]["pid"]) == pid:
@@ -579,7 +581,7 @@ def own_command(arm: str, arm_hash: int) -> MemoryFile:
 def front_of(arm: str) -> tuple[int, int] | None:
     """Pid and last sign of life (CLOCK_MONOTONIC, ns) of the living front of an arm; None when there is none."""
     try:
-        memory = _open(command_path(arm), layout.CommandFile.dtype, arm, None, writable=False)
+        memory = _open(command_path(arm), layout.CommandFile, arm, None, writable=False)
     except NotRunning:
         return None
     try:

@@ -32,6 +32,7 @@ from shm import layout
 from shm.client import CommandWriter, StateReader, find
 from shm.errors import RingFull
 from shm.files import MemoryFile, name_bytes
+from shm.record import Record
 from shm.recording import Recording, read_recording
 from shm.words import Answer, Entry, Mode, Outcome, Phase, Request, Slowed, Unreferenced
 from sim.arm import SimulatedArm
@@ -41,22 +42,22 @@ START_NS = 1_000_000_000
 STORES = (Request.STOP, Request.HOLD, Request.RESUME, Request.CANCEL, Request.SPEED_SCALE)
 
 
-def private_file(dtype: np.dtype, arm: ArmConfig) -> MemoryFile:
+def private_file(record: type[Record], arm: ArmConfig) -> MemoryFile:
     """A memory file nobody else can find, with a valid header."""
     fd = os.memfd_create("rtarm-test")
     bitrate = arm.bus.bitrate if arm.bus.interface != "mock" else 0
     rings = layout.rings(len(arm.joints), arm.control.period_ns, bitrate)
-    size = rings.file_bytes if dtype is layout.StateFile.dtype else dtype.itemsize
+    size = rings.file_bytes if record is layout.StateFile else record.dtype.itemsize
     os.truncate(fd, size)
     mapped = mmap.mmap(fd, size)
-    memory = MemoryFile(Path("memfd"), fd, mapped, np.frombuffer(mapped, dtype, 1))
+    memory = MemoryFile(Path("memfd"), fd, mapped, np.frombuffer(mapped, record.dtype, 1))
     header = memory.record["header"]
     header["joint_count"] = len(arm.joints)
     header["period_ns"] = arm.control.period_ns
     header["bitrate"] = bitrate
     header["arm_name"] = name_bytes((arm.name,), 1)
     header["joint_names"] = name_bytes([joint.name for joint in arm.joints], layout.MAX_JOINTS)
-    if dtype is layout.StateFile.dtype:
+    if record is layout.StateFile:
         memory.record["recorder"] = rings.described()
     return memory
 
@@ -84,8 +85,8 @@ class VirtualArm:
         **sim_options: Any,
     ) -> None:
         self.arm = load_arm(arm) if isinstance(arm, str) else arm
-        self.state = private_file(layout.StateFile.dtype, self.arm)
-        self.command = private_file(layout.CommandFile.dtype, self.arm)
+        self.state = private_file(layout.StateFile, self.arm)
+        self.command = private_file(layout.CommandFile, self.arm)
         self.loop = new_loop(self.arm, self.state.address, self.command.address)
         self.loop_address = self.loop.ctypes.data
         show_limits(self.state.record["limits"], self.loop)

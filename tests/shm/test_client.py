@@ -23,26 +23,26 @@ JOINTS = 3
 USED = layout.used_bytes(layout.Setpoint, JOINTS)
 
 
-def private_file(dtype):
+def private_file(record):
     """A memory file nobody else can find, for an arm of three joints."""
     fd = os.memfd_create("rtarm-test")
-    os.truncate(fd, dtype.itemsize)
-    mapped = mmap.mmap(fd, dtype.itemsize)
-    memory = MemoryFile(Path("memfd"), fd, mapped, np.frombuffer(mapped, dtype, 1))
+    os.truncate(fd, record.dtype.itemsize)
+    mapped = mmap.mmap(fd, record.dtype.itemsize)
+    memory = MemoryFile(Path("memfd"), fd, mapped, np.frombuffer(mapped, record.dtype, 1))
     memory.record["header"]["joint_count"] = JOINTS
     return memory
 
 
 @pytest.fixture
 def writer():
-    made = CommandWriter(private_file(layout.CommandFile.dtype))
+    made = CommandWriter(private_file(layout.CommandFile))
     yield made
     made.close()
 
 
 @pytest.fixture
 def reader():
-    made = StateReader(private_file(layout.StateFile.dtype))
+    made = StateReader(private_file(layout.StateFile))
     yield made
     made.close()
 
@@ -97,7 +97,7 @@ def test_a_goal_record_by_record(writer):
     values=st.lists(st.floats(), min_size=3 * JOINTS, max_size=3 * JOINTS),
 )
 def test_every_waypoint_arrives_bit_by_bit(time_ns, order, values):
-    writer = CommandWriter(private_file(layout.CommandFile.dtype))
+    writer = CommandWriter(private_file(layout.CommandFile))
     waypoint = np.array(values).reshape(JOINTS, 3)
     writer.waypoint(1, time_ns, order, waypoint, 0)
     record = slot(writer, 0)
@@ -156,7 +156,7 @@ def test_a_full_request_ring_refuses_the_asker_and_overwrites_nothing(writer):
 @given(st.lists(st.sampled_from(["stop", "hold", "resume"]), min_size=1, max_size=8), st.integers(0, 2**63 - 1))
 def test_a_resume_is_later_than_every_stop_and_hold_before_it(asked, spoilt_ns):
     """Also where the file holds a time that has not come yet."""
-    writer = CommandWriter(private_file(layout.CommandFile.dtype))
+    writer = CommandWriter(private_file(layout.CommandFile))
     record = writer.memory.record
     record["hold_ns"][0] = spoilt_ns
     for name in asked:

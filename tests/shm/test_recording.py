@@ -26,7 +26,7 @@ def small(monkeypatch):
     """A loop of six mock joints whose rings hold five cycles, and 130 frames."""
     arm = load_arm("episode1", overrides={"bus": {"channel": "nowhere"}})
     monkeypatch.setattr(layout, "RECORDED_NS", SLOTS * arm.control.period_ns)
-    state, command = private_file(layout.StateFile.dtype, arm), private_file(layout.CommandFile.dtype, arm)
+    state, command = private_file(layout.StateFile, arm), private_file(layout.CommandFile, arm)
     yield new_loop(arm, state.address, command.address), state
     state.close()
     command.close()
@@ -50,7 +50,7 @@ def test_the_newest_cycles_are_read_in_order_however_often_the_ring_has_gone_rou
     with pytest.MonkeyPatch.context() as patch:
         arm = load_arm("mock")
         patch.setattr(layout, "RECORDED_NS", SLOTS * arm.control.period_ns)
-        state, command = private_file(layout.StateFile.dtype, arm), private_file(layout.CommandFile.dtype, arm)
+        state, command = private_file(layout.StateFile, arm), private_file(layout.CommandFile, arm)
         made = new_loop(arm, state.address, command.address), state
         written = 0
         for batch in batches:
@@ -71,7 +71,7 @@ def test_a_spoilt_word_anywhere_in_a_record_is_noticed(data):
     with pytest.MonkeyPatch.context() as patch:
         arm = load_arm("mock")
         patch.setattr(layout, "RECORDED_NS", SLOTS * arm.control.period_ns)
-        state, command = private_file(layout.StateFile.dtype, arm), private_file(layout.CommandFile.dtype, arm)
+        state, command = private_file(layout.StateFile, arm), private_file(layout.CommandFile, arm)
         record((new_loop(arm, state.address, command.address), state), 0, 3)
         size = layout.used_bytes(layout.CycleRecord, len(arm.joints))
         word = data.draw(st.integers(0, 3 * size // 8 - 1))
