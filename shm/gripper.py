@@ -16,7 +16,7 @@ _AT = offset_of(layout.StateFile, "gripper")
 
 
 def show_gripper(state: np.ndarray, values: np.ndarray) -> None:
-    """Write the record (no dimensions, dtype layout.Gripper, its crc ignored) into a mapped state file, shape (1,)."""
+    """Write the record (layout.Gripper, no dimensions, its crc ignored) into a mapped state file, shape (1,)."""
     body = values.tobytes()[8:]
     target = state.view(np.uint8)[_AT : _AT + layout.Gripper.dtype.itemsize]
     target[:8] = 0  # a reader that comes amid this finds a sum that fits nothing

@@ -38,15 +38,15 @@ class Word(NamedTuple):
 
 
 class Record:
-    """A structured record: its annotations are its fields, in their order; those of its base classes follow them.
+    """A structured record: its annotations are its fields, in their order; the fields of its base classes follow.
 
     `int` is an i8 and `float` an f8, another record stands where it is named, and an array has its length beside its
-    type: `Annotated[Ints, 16]`, `Annotated[Rows[Axis], MAX_JOINTS]`. Behind it may stand what the field means, and
-    before that its unit: `Annotated[int, "ns", "control period"]`. Where `line_bytes` are given, a field `padding`
-    fills the last line of so many.
+    type: `Annotated[Ints, 16]`, `Annotated[Rows[Axis], MAX_JOINTS]`. What a field means may stand last in its
+    annotation, and its unit before that: `Annotated[int, "ns", "control period"]`. With `line_bytes`, a last field
+    `padding` makes the record as long as a whole number of such lines.
 
     Attributes:
-        hints: each field's annotation, in their order.
+        hints: each field's annotation, in the order of the fields.
         words: what is said of each field.
         dtype: what numpy and compiled functions know it as.
     """
@@ -56,23 +56,14 @@ class Record:
     dtype: ClassVar[np.dtype[np.void]]
 
     def __init_subclass__(cls, *, line_bytes: int = 0) -> None:
-        cls.hints = {name: hint for name, hint in get_annotations(cls).items() if not _is_of_the_class(hint)}
+        own = get_annotations(cls).items()
+        cls.hints = {name: hint for name, hint in own if getattr(hint, "__origin__", None) is not ClassVar}
         for base in cls.__bases__:
             cls.hints |= getattr(base, "hints", {})
         if line_bytes:
             cls.hints["padding"] = Annotated[Ints, -_dtype(cls.hints).itemsize % line_bytes // 8]
-        cls.words = {name: Word(*["", "", *_beside(hint, str)][-2:]) for name, hint in cls.hints.items()}
+        cls.words = {name: _word(hint) for name, hint in cls.hints.items()}
         cls.dtype = _dtype(cls.hints)
-
-
-def _is_of_the_class(hint: Any) -> bool:
-    origin: Any = get_origin(hint)
-    return origin is ClassVar
-
-
-def _beside(hint: Any, kind: type[T]) -> list[T]:
-    """What of a kind stands beside the type in an annotation."""
-    return [one for one in get_args(hint)[1:] if isinstance(one, kind)] if get_origin(hint) is Annotated else []
 
 
 def _dtype(hints: dict[str, Any]) -> np.dtype[np.void]:
@@ -87,6 +78,16 @@ def _type(hint: Any) -> Any:
     elif get_origin(of) is np.ndarray:
         of = get_args(get_args(of)[1])[0]
     return of.dtype if issubclass(of, Record) else {int: "i8", float: "f8"}.get(of, of)
+
+
+def _word(hint: Any) -> Word:
+    *unit, meaning = _beside(hint, str) or [""]
+    return Word("".join(unit), meaning)
+
+
+def _beside(hint: Any, kind: type[T]) -> list[T]:
+    """What of a kind stands beside the type in an annotation."""
+    return [one for one in get_args(hint)[1:] if isinstance(one, kind)] if get_origin(hint) is Annotated else []
 
 
 def offset_of(record: type[Record], *path: str) -> int:

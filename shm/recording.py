@@ -54,17 +54,17 @@ class Recording:
     Attributes:
         joints: names of the joints, in configuration order.
         records: one a cycle, in their order, dtype `record_dtype`.
-        frames: one a CAN frame, in their order, dtype layout.BusFrame.
-        events: of dtype layout.Event, oldest first.
-        limits: what the configuration allowed, dtype layout.Limits, no dimensions.
-        identifiers: whose frames are whose, of dtype layout.Identifiers.
-        scheduling: what the control process was given, dtype layout.Scheduling, no dimensions.
-        lateness: histogram since the start of the control process, dtype layout.Histogram, no dimensions.
+        frames: one a CAN frame, in their order (layout.BusFrame).
+        events: oldest first (layout.Event).
+        limits: what the configuration allowed (layout.Limits), no dimensions.
+        identifiers: whose frames are whose (layout.Identifiers).
+        scheduling: what the control process was given (layout.Scheduling), no dimensions.
+        lateness: histogram since the start of the control process (layout.Histogram), no dimensions.
         cycle_time: the same of its computing time.
         lost: records that could not be read because they were just being written.
-        requests: what was asked of the arm, of dtype layout.Request; none where its command file was not to be had.
-        openings: the goals that were sent to it, of dtype layout.Begin; the same.
-        results: of the newest goals, of dtype layout.Result; one that was just being written may be half.
+        requests: what was asked of the arm (layout.Request); none where its command file was not to be had.
+        openings: the goals that were sent to it (layout.Begin); the same.
+        results: of the newest goals (layout.Result); one that was just being written may be half.
     """
 
     arm: str

@@ -11,7 +11,7 @@ import mmap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +83,7 @@ class VirtualArm:
         if self._streamer is not None:
             consumed = int(self._state.record["consumed"]["setpoints"])
             self._streamer.pump(self.writer, consumed, self._loop[0]["clock"]["time_s"] * 1e9)
-        step(self._loop[0], cast(layout.StateFile, self._state.record), self._now_ns)
+        step(self._loop[0], self._state.array[0], self._now_ns)
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Cycle until a condition holds; raises TimeoutError where it does not within virtual seconds."""

@@ -92,7 +92,7 @@ class Led(Connection):
         self._since: Position = now_at(reader.memory)
 
     def joint(self) -> Any:
-        """What the newest snapshot says of the joint (dtype layout.Joint)."""
+        """What the newest snapshot says of the joint (layout.Joint)."""
         return self.snapshot()["joints"][0]
 
     @property

@@ -105,7 +105,7 @@ def _cut(recording: Recording, first: int, last: int, why: str) -> Path:
 
 
 def check(recording: Recording, path: Path, joints: Sequence[str], limits: np.ndarray, speed: float) -> None:
-    """Refuse a path that is not for an arm with these joints and limits (dtype layout.Limits), at so much of its speed.
+    """Refuse a path that is not for an arm with these joints and limits (layout.Limits), at so much of its speed.
 
     Raises:
         Refusal: with the first thing that does not fit.

@@ -42,7 +42,7 @@ class Limits:
 
 
 def limits_of(joints: tuple[str, ...], limits: np.ndarray) -> Limits:
-    """What an arm's control process allows its joints, from its state file's limits (dtype layout.Limits)."""
+    """What an arm's control process allows its joints, from its state file's limits (layout.Limits)."""
     rows = limits["joints"][: len(joints)]
     return Limits(
         joints,

@@ -153,7 +153,7 @@ class Connection:
         return int(self._reader.memory.record["header"]["period_ns"]) * 1e-9
 
     def limits(self) -> np.ndarray:
-        """What the control process allows, dtype layout.Limits, no dimensions."""
+        """What the control process allows (layout.Limits), no dimensions."""
         return np.array(self._reader.memory.record["limits"])
 
     def arm_hash(self) -> int:

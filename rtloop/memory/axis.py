@@ -1,6 +1,6 @@
 """What the cycle remembers of each joint: parameters, setpoints, measurements and the state of its drive."""
 
-from rtloop.memory.record import Record
+from rtloop.memory.owned_record import OwnedRecord
 
 NOT_LED = -1
 """A drive whose setpoint was synced to where it stands, and that was commanded nothing since."""
@@ -14,7 +14,7 @@ FAMILY_MOCK = 0
 """A joint's family is its place among `config.joint.FAMILIES`, whose first is no drive at all."""
 
 
-class JointParams(Record, writers=("commands.orders",)):
+class JointParams(OwnedRecord, writers=("commands.orders",)):
     """A joint as its arm file has it, in the units of its drive."""
 
     family: int
@@ -50,7 +50,7 @@ class JointParams(Record, writers=("commands.orders",)):
     report_delay_ns: int  # the same of a report, which is sent unasked
 
 
-class Commanded(Record, writers=("cycle", "setpoints")):
+class Commanded(OwnedRecord, writers=("cycle", "setpoints")):
     """What is commanded at this cycle, and at the next, which the frames of this cycle carry."""
 
     position_rad: float
@@ -62,14 +62,14 @@ class Commanded(Record, writers=("cycle", "setpoints")):
     difference_velocity_rad_s: float  # of the last two commanded positions, for the last line of defence
 
 
-class Ahead(Record, writers=("trajectory.ahead",)):
+class Ahead(OwnedRecord, writers=("trajectory.ahead",)):
     """A setpoint that is only looked at."""
 
     position_rad: float
     velocity_rad_s: float  # its `Commanded.difference_velocity_rad_s`
 
 
-class Measured(Record, writers=("bus",)):
+class Measured(OwnedRecord, writers=("bus",)):
     """The last plausible reading."""
 
     position_rad: float
@@ -78,7 +78,7 @@ class Measured(Record, writers=("bus",)):
     readings: int  # since it was brought up
 
 
-class Tracking(Record, writers=("bus", "cycle", "setpoints")):
+class Tracking(OwnedRecord, writers=("bus", "cycle", "setpoints")):
     """The last reading beside what was commanded at its instant."""
 
     reference_rad: float
@@ -92,7 +92,7 @@ class Tracking(Record, writers=("bus", "cycle", "setpoints")):
     slip_rad: float  # how far the drive may have run ahead while the loop was away
 
 
-class Reply(Record, writers=("bus", "cycle", "drives.receiving")):
+class Reply(OwnedRecord, writers=("bus", "cycle", "drives.receiving")):
     """Positions as they come from the drive, and questions for them."""
 
     is_new: int  # 1: a position came since the last cycle
@@ -105,7 +105,7 @@ class Reply(Record, writers=("bus", "cycle", "drives.receiving")):
     unanswered_since_ns: int
 
 
-class Checks(Record, writers=("safety.monitor",)):
+class Checks(OwnedRecord, writers=("safety.monitor",)):
     """What has been implausible or refused, and how often in a row."""
 
     suspect: int  # 1: the last reading was implausible and waits for the next one to agree
@@ -114,7 +114,7 @@ class Checks(Record, writers=("safety.monitor",)):
     refusals: int  # of motion commands since the last sound status
 
 
-class DriveState(Record, writers=("bus.frames", "commands.orders", "drives", "safety.monitor")):
+class DriveState(OwnedRecord, writers=("bus.frames", "commands.orders", "drives", "safety.monitor")):
     """What the drive reports of itself beside its position."""
 
     velocity_rad_s: float  # as the drive measures it; NaN where it does not, as the next three
@@ -131,7 +131,7 @@ class DriveState(Record, writers=("bus.frames", "commands.orders", "drives", "sa
     is_disabled: int  # 1: it was disabled, and has confirmed that
 
 
-class Reference(Record, writers=("safety.references",)):
+class Reference(OwnedRecord, writers=("safety.references",)):
     """Whether what the drive counts means an angle."""
 
     referenced: int
@@ -140,7 +140,7 @@ class Reference(Record, writers=("safety.references",)):
     lost_at_rad: float  # its last reading when its reference was lost
 
 
-class Sent(Record, writers=("commands.orders", "drives", "safety.references")):
+class Sent(OwnedRecord, writers=("commands.orders", "drives", "safety.references")):
     """What the drive's commands so far leave to the next ones."""
 
     stop_frames_due: int  # how many times it is still to be told to stop
@@ -153,7 +153,7 @@ class Sent(Record, writers=("commands.orders", "drives", "safety.references")):
     asked_cycle: int  # the last one in which a command has asked it for its position as well
 
 
-class Axis(Record, writers=("commands.request_reader",)):
+class Axis(OwnedRecord, writers=("commands.request_reader",)):
     """A joint in motion."""
 
     commanded: Commanded

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from rtloop.memory.record import Record
+from rtloop.memory.owned_record import OwnedRecord
 from shm.layout import MAX_JOINTS
 from shm.record import Bytes, Ints, Rows, SmallInts
 
@@ -37,7 +37,7 @@ WIRES = {
 }
 
 
-class Message(Record, writers=()):
+class Message(OwnedRecord, writers=()):
     """`struct mmsghdr` of Linux where pointers have 64 bits: a msghdr and what it came to."""
 
     name: int
@@ -50,14 +50,14 @@ class Message(Record, writers=()):
     length: int
 
 
-class Part(Record, writers=()):
+class Part(OwnedRecord, writers=()):
     """`struct iovec`."""
 
     address: int
     length: int
 
 
-class Arrived(Record, writers=()):
+class Arrived(OwnedRecord, writers=()):
     """What the reader's thread writes of the receive ring, on lines of its own (`LINE_BYTES` of shm.layout)."""
 
     bytes: int
@@ -71,7 +71,7 @@ class Arrived(Record, writers=()):
     padding: Annotated[Ints, 7]
 
 
-class Taken(Record, writers=()):
+class Taken(OwnedRecord, writers=()):
     """What the cycle writes of the receive ring, likewise."""
 
     bytes: int
@@ -79,14 +79,14 @@ class Taken(Record, writers=()):
     padding: Annotated[Ints, 14]
 
 
-class Chunk(Record, writers=("wire.received",)):
+class Chunk(OwnedRecord, writers=("wire.received",)):
     """Bytes that one read brought."""
 
     time_ns: int
     end: int
 
 
-class Received(Record, writers=("wire.received",)):
+class Received(OwnedRecord, writers=("wire.received",)):
     """The receive ring."""
 
     arrived: Arrived
@@ -95,7 +95,7 @@ class Received(Record, writers=("wire.received",)):
     bytes: Annotated[Bytes, RX_BYTES]
 
 
-class Wire(Record, writers=()):
+class Wire(OwnedRecord, writers=()):
     """The open wire; each word on a line of its own."""
 
     fd: int  # what ordinary Python has opened, -1 none; on a line of its own
@@ -104,7 +104,7 @@ class Wire(Record, writers=()):
     fd_in_use_padding: Annotated[Ints, 15]
 
 
-class Reader(Record, writers=()):
+class Reader(OwnedRecord, writers=()):
     """Of the reader's thread alone."""
 
     poll: int  # struct pollfd
@@ -114,7 +114,7 @@ class Reader(Record, writers=()):
     parts: Annotated[Rows[Part], RX_FRAMES]
 
 
-class Parser(Record, writers=("bus.measured", "wire.can_frame", "wire.framed", "wire.slcan", "wire.wires")):
+class Parser(OwnedRecord, writers=("bus.measured", "wire.can_frame", "wire.framed", "wire.slcan", "wire.wires")):
     """How far the receive ring is read, and the beginning of what is not yet a whole line or record."""
 
     bytes_taken: int
@@ -125,7 +125,7 @@ class Parser(Record, writers=("bus.measured", "wire.can_frame", "wire.framed", "
     line_needed: int  # bytes that must be collected before the next look at them
 
 
-class Outgoing(Record, writers=("wire",)):
+class Outgoing(OwnedRecord, writers=("wire",)):
     """What this cycle sends: the bytes for the wire, and the frames in them."""
 
     length: int  # of the bytes
@@ -147,7 +147,7 @@ class Outgoing(Record, writers=("wire",)):
 
 
 class Bus(
-    Record,
+    OwnedRecord,
     writers=(
         "bus.frames",
         "bus.measured",
@@ -170,7 +170,7 @@ class Bus(
     unacknowledged_since_ns: int  # the oldest question for a status since which none has come, 0 none
 
 
-class Quiet(Record, writers=("bus.frames", "bus.measured", "cycle", "safety.silence", "wire.slcan")):
+class Quiet(OwnedRecord, writers=("bus.frames", "bus.measured", "cycle", "safety.silence", "wire.slcan")):
     """What happens while no frame of a drive comes, for `rtloop.safety.silence` alone."""
 
     heard_ns: int  # arrival of the last frame of any drive
@@ -187,7 +187,7 @@ class Quiet(Record, writers=("bus.frames", "bus.measured", "cycle", "safety.sile
     frames_received: int
 
 
-class Listener(Record, writers=()):
+class Listener(OwnedRecord, writers=()):
     """Who receives frames whose identifier has the bits of `match` where `mask` has ones."""
 
     match: int
@@ -196,7 +196,7 @@ class Listener(Record, writers=()):
     joint: int  # or GRIPPER
 
 
-class ServiceFrame(Record, writers=("service.rings",)):
+class ServiceFrame(OwnedRecord, writers=("service.rings",)):
     """A frame or an order, from or for a conversation in ordinary Python."""
 
     kind: int
@@ -211,7 +211,7 @@ class ServiceFrame(Record, writers=("service.rings",)):
     code: int
 
 
-class ServiceRing(Record, writers=()):
+class ServiceRing(OwnedRecord, writers=()):
     """A ring of them; each position on a line of its own."""
 
     written: Annotated[Ints, 16]

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from rtloop.memory.record import Record
+from rtloop.memory.owned_record import OwnedRecord
 from shm import layout
 from shm.layout import MAX_JOINTS
 from shm.record import Rows
@@ -12,7 +12,7 @@ WINDOW_WAYPOINTS = 4096
 BLEND_SAMPLES = 32
 
 
-class Operator(Record, writers=("commands.operator",)):
+class Operator(OwnedRecord, writers=("commands.operator",)):
     """What people ask for at any moment; the newest of each counts."""
 
     speed_scale: float  # what people asked for
@@ -23,7 +23,7 @@ class Operator(Record, writers=("commands.operator",)):
     stops: int  # how often a person has stopped the arm
 
 
-class Front(Record, writers=("commands.request_reader", "commands.setpoint_reader")):
+class Front(OwnedRecord, writers=("commands.request_reader", "commands.setpoint_reader")):
     """How far the ROS process' rings are read, and how long ago it last wrote a sign of life."""
 
     newest_goal: int  # highest id ever begun
@@ -36,7 +36,7 @@ class Front(Record, writers=("commands.request_reader", "commands.setpoint_reade
     request_waits: int
 
 
-class Goals(Record, writers=("trajectory",)):
+class Goals(OwnedRecord, writers=("trajectory",)):
     """Which of the two paths runs, and what slows it down."""
 
     active: int  # which of the two paths runs
@@ -47,7 +47,7 @@ class Goals(Record, writers=("trajectory",)):
     epoch: int  # goals that arrived in an earlier one never begin
 
 
-class Search(Record, writers=("trajectory.ahead", "trajectory.entry", "trajectory.goals")):
+class Search(OwnedRecord, writers=("trajectory.ahead", "trajectory.entry", "trajectory.goals")):
     """The way onto a newer goal that is being looked for, over several cycles where it takes long."""
 
     ways_tried: int  # onto it, of those that are tried from this state of the arm
@@ -57,7 +57,7 @@ class Search(Record, writers=("trajectory.ahead", "trajectory.entry", "trajector
     rate: float  # rate at which they would be entered
 
 
-class Clock(Record, writers=("trajectory.arrival", "trajectory.clock", "trajectory.entry")):
+class Clock(OwnedRecord, writers=("trajectory.arrival", "trajectory.clock", "trajectory.entry")):
     """The trajectory clock: the time along the running path and its rate, which a cubic ramp changes."""
 
     time_s: float
@@ -73,7 +73,7 @@ class Clock(Record, writers=("trajectory.arrival", "trajectory.clock", "trajecto
 
 
 class Motion(
-    Record,
+    OwnedRecord,
     writers=(
         "commands.request_reader",
         "cycle",
@@ -92,7 +92,7 @@ class Motion(
     closing: int  # a shutdown is stopping the arm
 
 
-class Blend(Record, writers=("trajectory.entry",)):
+class Blend(OwnedRecord, writers=("trajectory.entry",)):
     """What is left of the difference between the arm and the plan when a path is entered, of one joint."""
 
     held_rad: float  # where a joint outside the goal comes to rest
@@ -106,7 +106,7 @@ class Blend(Record, writers=("trajectory.entry",)):
 
 
 class Path(
-    Record,
+    OwnedRecord,
     writers=("commands.setpoint_reader", "setpoints", "trajectory.entry", "trajectory.goals", "trajectory.phases"),
 ):
     """A goal: what is known of its points, which phase it is in, and how it was entered."""

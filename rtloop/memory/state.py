@@ -21,7 +21,7 @@ from rtloop.memory.link import (
     Wire,
 )
 from rtloop.memory.motion import WINDOW_WAYPOINTS, Clock, Front, Goals, Motion, Operator, Path, Search
-from rtloop.memory.record import Record
+from rtloop.memory.owned_record import OwnedRecord
 from shm import layout
 from shm.layout import MAX_JOINTS
 from shm.record import Floats, Ints, Rows
@@ -31,7 +31,7 @@ HISTORY_SLOTS = 256
 drive counts as silent (0.1 s), at the highest rate (2000 Hz)."""
 
 
-class Params(Record, writers=()):
+class Params(OwnedRecord, writers=()):
     """The arm as its file has it, and where its memory stands."""
 
     joint_count: int
@@ -64,7 +64,7 @@ class Params(Record, writers=()):
     simulated: int  # 1: the wire is a pseudo-terminal, behind which a program is the drives
 
 
-class Timing(Record, writers=("cycle", "process.run")):
+class Timing(OwnedRecord, writers=("cycle", "process.run")):
     """When this cycle is."""
 
     cycle: int
@@ -75,7 +75,7 @@ class Timing(Record, writers=("cycle", "process.run")):
     cycle_time_ns: int  # of the cycle before
 
 
-class LatchedFault(Record, writers=("safety.faults",)):
+class LatchedFault(OwnedRecord, writers=("safety.faults",)):
     """The fault that stands until it is cleared."""
 
     code: int  # shm.words.Fault
@@ -88,7 +88,7 @@ class LatchedFault(Record, writers=("safety.faults",)):
 
 
 class Dialogue(
-    Record,
+    OwnedRecord,
     writers=("commands", "memory.modes", "safety.faults"),
 ):
     """What the main thread is asked to do, and how far it is."""
@@ -103,7 +103,7 @@ class Dialogue(
     healed_ns: int  # when the arm went on after a stall by itself last, since a person brought it up; 0 never
 
 
-class Gripper(Record, writers=("commands.operator", "commands.request_reader")):
+class Gripper(OwnedRecord, writers=("commands.operator", "commands.request_reader")):
     """What the gripper was asked for last; the other thread looks for a new sequence."""
 
     kind: int  # shm.words.Request
@@ -113,7 +113,7 @@ class Gripper(Record, writers=("commands.operator", "commands.request_reader")):
     halted: int  # of the newest one that a person's stop or hold has ended
 
 
-class History(Record, writers=("cycle",)):
+class History(OwnedRecord, writers=("cycle",)):
     """Commanded positions of the last cycles."""
 
     next: int
@@ -121,7 +121,7 @@ class History(Record, writers=("cycle",)):
     position_rad: Annotated[Floats, HISTORY_SLOTS * MAX_JOINTS]
 
 
-class Published(Record, writers=("memory.events", "publish")):
+class Published(OwnedRecord, writers=("memory.events", "publish")):
     """What of the snapshot stands in the state file as it is, and need not be written again."""
 
     cycle: int
@@ -130,7 +130,7 @@ class Published(Record, writers=("memory.events", "publish")):
     decisions_crc: int  # of them
 
 
-class Loop(Record, writers=("memory.modes",)):
+class Loop(OwnedRecord, writers=("memory.modes",)):
     """All of it."""
 
     params: Params

@@ -63,7 +63,7 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
 
 
 def show_limits(limits: np.void, loop: np.ndarray) -> None:
-    """Write the arm's limits into the state file's record for them (dtype layout.Limits)."""
+    """Write the arm's limits into the state file's record for them (layout.Limits)."""
     params, joints = loop[0]["params"], loop[0]["joints"]
     for name in layout.Limits.words.keys() & Params.words:
         limits[name] = params[name]

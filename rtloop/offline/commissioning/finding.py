@@ -86,7 +86,7 @@ class Said(NamedTuple):
 
 
 def frames_of(recorded: np.ndarray) -> list[Said]:
-    """Decode recorded frames of dtype `shm.layout.BusFrame`."""
+    """Decode recorded frames (`shm.layout.BusFrame`)."""
     return [
         Said(
             int(row["monotonic_ns"]),

@@ -15,20 +15,19 @@ from typing import Annotated, Any, get_args, get_origin
 import numpy as np
 import pytest
 
-from rtloop.memory.record import Record
+from rtloop.memory.owned_record import OwnedRecord
 from rtloop.memory.state import Loop
-from shm.record import Record as AnyRecord
-from shm.record import Rows
+from shm.record import Record, Rows
 
 ROOT = Path(__file__).parents[3]
 
 
-def records(of: type[Record] = Loop) -> Iterator[type[Record]]:
+def records(of: type[OwnedRecord] = Loop) -> Iterator[type[OwnedRecord]]:
     """A record and those in it."""
     yield of
     for hint in of.hints.values():
         element = element_of(hint) if get_origin(hint) is Annotated else hint
-        if isinstance(element, type) and issubclass(element, Record):
+        if isinstance(element, type) and issubclass(element, OwnedRecord):
             yield from records(element)
 
 
@@ -43,8 +42,8 @@ class Stores(ast.NodeVisitor):
 
     def __init__(self, parameters: dict[str, Any], module: dict[str, Any]) -> None:
         self.local, self.module = dict(parameters), module
-        self.arrays: dict[str, tuple[type[Record], str]] = {}
-        self.found: set[tuple[type[Record], str]] = set()
+        self.arrays: dict[str, tuple[type[OwnedRecord], str]] = {}
+        self.found: set[tuple[type[OwnedRecord], str]] = set()
         self.unknown: list[str] = []
 
     def type_of(self, node: ast.expr) -> Any:
@@ -53,7 +52,7 @@ class Stores(ast.NodeVisitor):
             return self.local.get(node.id)
         if isinstance(node, ast.Attribute):
             of = self.type_of(node.value)
-            return of.hints.get(node.attr) if isinstance(of, type) and issubclass(of, AnyRecord) else None
+            return of.hints.get(node.attr) if isinstance(of, type) and issubclass(of, Record) else None
         if isinstance(node, ast.Subscript):
             of = self.type_of(node.value)
             return element_of(of) if get_origin(of) is Annotated else of
@@ -63,13 +62,13 @@ class Stores(ast.NodeVisitor):
             return called.__annotations__.get("return") if isfunction(called) else None
         return None
 
-    def origin_of(self, node: ast.expr) -> tuple[type[Record], str] | None:
+    def origin_of(self, node: ast.expr) -> tuple[type[OwnedRecord], str] | None:
         """The record and field that an array is, None for what is no array of a record."""
         if isinstance(node, ast.Name):
             return self.arrays.get(node.id)
         if isinstance(node, ast.Attribute):
             of = self.type_of(node.value)
-            if isinstance(of, type) and issubclass(of, Record):
+            if isinstance(of, type) and issubclass(of, OwnedRecord):
                 return of, node.attr
         return None
 
@@ -90,11 +89,11 @@ class Stores(ast.NodeVisitor):
                 self.found |= {origin for origin in [self.origin_of(target)] if origin is not None}
                 return
             of = self.type_of(target.value)
-            if not (isinstance(of, type) and issubclass(of, AnyRecord)):
+            if not (isinstance(of, type) and issubclass(of, Record)):
                 self.unknown.append(ast.unparse(target))
                 return
             assert target.attr in of.hints, ast.unparse(target)
-            if issubclass(of, Record):
+            if issubclass(of, OwnedRecord):
                 self.found.add((of, target.attr))
 
     def visit_Assign(self, node: ast.Assign) -> None:
@@ -131,9 +130,9 @@ def stores(path: Path) -> Iterator[Stores]:
 FILES = sorted(path for path in (ROOT / "rtloop").rglob("*.py") if "@jit" in path.read_text(encoding="utf-8"))
 
 
-def writers() -> dict[type[Record], set[str]]:
+def writers() -> dict[type[OwnedRecord], set[str]]:
     """The modules that store into each record, the parts' own functions aside."""
-    found: dict[type[Record], set[str]] = {record: set() for record in records()}
+    found: dict[type[OwnedRecord], set[str]] = {record: set() for record in records()}
     for path in FILES:
         if path == ROOT / "rtloop/memory/updates.py":
             continue
@@ -157,13 +156,13 @@ WRITERS = writers()
 
 
 @pytest.mark.parametrize("record", WRITERS, ids=lambda record: record.__name__)
-def test_a_record_names_those_who_store_into_it(record: type[Record]) -> None:
+def test_a_record_names_those_who_store_into_it(record: type[OwnedRecord]) -> None:
     found = WRITERS[record]
     assert {module for module in found if not any(covers(writer, module) for writer in record.writers)} == set()
     assert {writer for writer in record.writers if not any(covers(writer, module) for module in found)} == set()
 
 
 @pytest.mark.parametrize("record", WRITERS, ids=lambda record: record.__name__)
-def test_a_field_is_read_by_its_name_without_the_compiler_too(record: type[Record]) -> None:
+def test_a_field_is_read_by_its_name_without_the_compiler_too(record: type[OwnedRecord]) -> None:
     """One that is called as something that every record of numpy has would not be; the system's own are never read."""
     assert [name for name in record.hints if hasattr(np.record, name)] in ([], ["flags"])

@@ -4,10 +4,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from shm import record
+from shm.record import Record
 
 
-class Record(record.Record):
+class OwnedRecord(Record):
     """A record of the cycle's memory.
 
     Attributes:
