@@ -17,7 +17,7 @@ ALL_MOTORS, SET_ID, MOTION_MODE = 0x280, 0x300, 0x400
 """What motors hear beside that: all of them; whoever has its ID set; motion mode, from protocol V4 on."""
 STEPS_PER_REVOLUTION = 36_000
 """Angles are hundredths of a degree."""
-RAMP_DPS_S = (100, 60_000)
+RAMP_RANGE_DPS_S = (100, 60_000)
 """Least and most that 43 takes (degrees/s²)."""
 HIGHEST_DPS = 32_767
 """What a feedback can say; a command could say twice that."""
@@ -61,7 +61,7 @@ class MyactuatorDrive(Drive):
     @property
     def ramp_range_rad_s2(self) -> tuple[float, float]:
         """What it can be set to."""
-        return math.radians(RAMP_DPS_S[0]), math.radians(RAMP_DPS_S[1])
+        return math.radians(RAMP_RANGE_DPS_S[0]), math.radians(RAMP_RANGE_DPS_S[1])
 
     @property
     def highest_motor_rpm(self) -> float:

@@ -1,13 +1,6 @@
 """MyActuator RMD motors in the cycle: targets ahead (`rtloop.drives.leading`) for a drive that plans its own ramp.
 
-Protocol facts (Motor Motion Protocol V4.2 and V4.3 for V3 drivers; 2b-t/myactuator_rmd and its tests): standard
-identifiers, 140 + ID out and 240 + ID back, always 8 bytes, lowest byte first; an answer begins with the command's
-byte. A4 is an absolute target (0.01° of the output shaft) with the highest speed of its trapezoid (whole degrees a
-second), answered with temperature, current (0.01 A), speed (whole °/s) and an angle of whole degrees. 92 is answered
-with the angle in 0.01°; 9A with temperature, brake, voltage (0.1 V) and error word; 9C in the same way as A4. 81 stops
-the motor and keeps its loop closed.
-
-A speed of 0 would mean no limit at all, so the least speed that is sent is 1.
+`rtloop.drives.myactuator_protocol` says what stands in their frames.
 
 No answer says whether the motor holds its shaft. It is taken to hold if it has answered a motion command since it was
 shut down (80), and unless it reports a locked brake after having reported a released one (motors without a brake may
@@ -15,9 +8,10 @@ report either).
 """
 
 from compilation.jit import jit
+from config.drives.myactuator import REQUEST
 from rtloop.drives import leading, receiving, words
+from rtloop.drives import myactuator_protocol as protocol
 from rtloop.drives.errors import meanings
-from rtloop.drives.myactuator_setup import ANGLE, ERRORS, FEEDBACK, SHUTDOWN, STATUS, STOP, TARGET
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import Axis
 from rtloop.memory.frame_words import STANDARD
@@ -26,33 +20,34 @@ from rtloop.safety import setpoint_check
 from rtloop.wire import outgoing
 from shm.layout import StateFile
 
-REQUEST_BASE = 0x140
 HIGHEST_SPEED_DPS = 0xFFFF
 HIGHEST_ANGLE = 0x7FFFFFFF
-STEPS_PER_DEGREE = 100.0
 DPS_PER_RPM = 6.0
-VOLT_PER_STEP = 0.1
 
-ERROR_MEANINGS = meanings(ERRORS, every=0xFFFF)
+ERROR_MEANINGS = meanings(protocol.ERRORS, every=0xFFFF)
 
 
 @jit
 def identifier(loop: Loop, joint: int) -> int:
     """The CAN identifier of requests to the joint's motor."""
-    return int(REQUEST_BASE + loop.joints[joint].address)
+    return int(REQUEST + loop.joints[joint].address)
 
 
 @jit
 def target_with_speed(angle: int, speed_dps: int) -> int:
     """Data of A4: angle (0.01°) and speed limit (°/s) of the output shaft."""
-    return int(TARGET | speed_dps << 16 | (angle & 0xFFFFFFFF) << 32)
+    return int(
+        protocol.TARGET
+        | words.placed(protocol.TARGET_SPEED_DPS, speed_dps)
+        | words.placed(protocol.TARGET_ANGLE, angle)
+    )
 
 
 @jit
 def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send target and speed; the remainder of the speed's rounding is carried over to the next period."""
     row, axis = loop.joints[joint], loop.axes[joint]
-    dps_per_rad_s = abs(row.command_per_rad) / STEPS_PER_DEGREE
+    dps_per_rad_s = abs(row.command_per_rad) / protocol.STEPS_PER_DEGREE
     target, speed = leading.target_ahead(loop, joint, 0.5 / dps_per_rad_s)
     if not setpoint_check.may_be_sent(loop, shared, joint, target, speed):
         return
@@ -68,12 +63,12 @@ def lead(loop: Loop, joint: int, shared: StateFile) -> None:
 @jit
 def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     """Command a stop with the loop closed (81); False if the transmit buffer has no room."""
-    return bool(outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, STOP, 0, joint))
+    return bool(outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, protocol.STOP, 0, joint))
 
 
 @jit
 def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
-    if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, ANGLE):
+    if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, protocol.ANGLE):
         receiving.note_question(loop, joint)
 
 
@@ -86,18 +81,18 @@ def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     axis = loop.axes[joint]
     turn = loop.timing.cycle // loop.params.joint_count
     silent = axis.sent.led_cycle != loop.timing.cycle and axis.checks.bad_statuses == 0
-    what = FEEDBACK if silent and turn & 1 else STATUS
+    what = protocol.FEEDBACK if silent and turn & 1 else protocol.STATUS
     outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, what)
 
 
 @jit
 def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
-    return bool(data == STOP)
+    return bool(data == protocol.STOP)
 
 
 @jit
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
-    if data == ANGLE:
+    if data == protocol.ANGLE:
         receiving.note_question(loop, joint)
 
 
@@ -110,22 +105,22 @@ def receive(
     said = data & 255
     if length != 8:
         return
-    if said == ANGLE:
-        receiving.receive_position(loop, joint, words.signed(data, 4, 4) / row.reading_per_rad - row.zero_rad, time_ns)
-    elif said in (TARGET, FEEDBACK):
-        receiving.receive_temperature(loop, joint, float(words.signed(data, 1, 1)))
+    if said == protocol.ANGLE:
+        angle_rad = words.whole(data, protocol.READ_ANGLE) / row.reading_per_rad - row.zero_rad
+        receiving.receive_position(loop, joint, angle_rad, time_ns)
+    elif said in (protocol.TARGET, protocol.FEEDBACK):
+        receiving.receive_temperature(loop, joint, words.quantity(data, protocol.TEMPERATURE_C))
         if row.effort_per_unit != 0.0:
-            receiving.receive_effort(loop, joint, words.signed(data, 2, 2) * row.effort_per_unit)
-        receiving.receive_velocity(loop, joint, words.signed(data, 4, 2) * STEPS_PER_DEGREE / row.reading_per_rad)
-        if said == TARGET:
+            receiving.receive_effort(loop, joint, words.whole(data, protocol.CURRENT) * row.effort_per_unit)
+        receiving.receive_velocity(loop, joint, words.quantity(data, protocol.SPEED) / row.reading_per_rad)
+        if said == protocol.TARGET:
             axis.drive.is_disabled = 0
-    elif said == STATUS:
-        receiving.receive_temperature(loop, joint, float(words.signed(data, 1, 1)))
-        receiving.receive_voltage(loop, joint, words.unsigned(data, 4, 2) * VOLT_PER_STEP)
-        receiving.receive_status(
-            loop, joint, common_status(holds(axis, words.unsigned(data, 3, 1)), words.unsigned(data, 6, 2))
-        )
-    elif said == SHUTDOWN:
+    elif said == protocol.STATUS:
+        receiving.receive_temperature(loop, joint, words.quantity(data, protocol.TEMPERATURE_C))
+        receiving.receive_voltage(loop, joint, words.quantity(data, protocol.VOLTAGE_V))
+        enabled = holds(axis, words.whole(data, protocol.BRAKE_RELEASED))
+        receiving.receive_status(loop, joint, common_status(enabled, words.whole(data, protocol.ERROR)))
+    elif said == protocol.SHUTDOWN:
         axis.drive.is_disabled = 1
 
 

@@ -1,4 +1,4 @@
-"""Bring-up and disabling of a MyActuator RMD motor; `rtloop.drives.myactuator` describes its frames.
+"""Bring-up and disabling of a MyActuator RMD motor.
 
 Bring-up reads (nothing moves): angle, errors, speed, and the ramp of the position planning. A moving motor is stopped
 (81). The ramp brakes the joint when the motor receives nothing more, so it must be the one that the arm file asks for;
@@ -18,18 +18,19 @@ before the mark was given, and has grown since as the clock did.
 """
 
 import math
-import struct
 import time
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from config.drives.myactuator import RAMP_DPS_S, REPLY, REQUEST, MyactuatorDrive
+from config.drives.myactuator import RAMP_RANGE_DPS_S, REPLY, REQUEST, MyactuatorDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
+from rtloop.drives import myactuator_protocol as protocol
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.errors import ErrorBit, error_words
+from rtloop.drives.errors import error_words
+from rtloop.drives.numbers import NO_VALUES, Values, packed, unpacked
 from rtloop.drives.setup import (
     ERROR_AT_START,
     SAME_PLACE_RAD,
@@ -40,38 +41,16 @@ from rtloop.drives.setup import (
     settle_mark,
 )
 from rtloop.drives.steps import answered, unanswered, written
-from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, silent_amid
 from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
-READ_RAMP, WRITE_RAMP, RESET, RELEASE_BRAKE = 0x42, 0x43, 0x76, 0x77
-SHUTDOWN, STOP, ANGLE, STATUS, FEEDBACK = 0x80, 0x81, 0x92, 0x9A, 0x9C
-TARGET, UPTIME = 0xA4, 0xB1
-RAMPS = ((0, "acceleration"), (1, "deceleration"))
-"""Indexes of 42 and 43: those of position planning."""
-ERRORS = (
-    ErrorBit(0x0002, "stall", status_bits.STALLED),
-    ErrorBit(0x0004, "low voltage", status_bits.UNDER_VOLTAGE),
-    ErrorBit(0x0008, "over-voltage", status_bits.OVER_VOLTAGE),
-    ErrorBit(0x0010, "over-current", status_bits.OVER_CURRENT),
-    ErrorBit(0x0040, "power", status_bits.OVER_CURRENT),  # the current that it takes from its supply
-    ErrorBit(0x0080, "lost parameters"),
-    ErrorBit(0x0100, "over-speed"),
-    ErrorBit(0x0800, "over-temperature of its board", status_bits.OVER_TEMPERATURE),
-    ErrorBit(0x1000, "over-temperature", status_bits.OVER_TEMPERATURE),
-    ErrorBit(0x2000, "encoder calibration", status_bits.ENCODER),
-    ErrorBit(0x4000, "encoder data", status_bits.ENCODER),
-)
-"""Bits of the error word in the status (V4.3)."""
-NEEDS_RESTART = 0x0002 | 0x0010 | 0x0080 | 0x2000 | 0x4000
 CREEP_DPS = 1
 ENABLED_BY_A_TARGET = True
 """A motor that lost its power has no torque until its first target, so no target is sent to it without a request."""
 RESTART_S = 5.0
 """Timeout of a restart, which takes 1.1 s."""
-HUNDREDTHS = 100.0
 CLOCK_TOLERANCE = 0.0158
 """Largest relative deviation of a motor's clock that CAN's specification (2.0, oscillator tolerance) allows."""
 UPTIME_STEP_MS = 1.0
@@ -132,20 +111,20 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
     drive = _drive(joint)
     row["silence_deceleration_rad_s2"] = math.radians(ramp_dps_s(joint, arm)) / joint.ratio
     if drive.nm_per_ampere is not None:
-        row["effort_per_unit"] = joint.direction * joint.ratio * drive.nm_per_ampere / HUNDREDTHS
+        row["effort_per_unit"] = joint.direction * joint.ratio * drive.nm_per_ampere / protocol.STEPS_PER_DEGREE
 
 
 def ramp_dps_s(joint: JointConfig, arm: ArmConfig) -> int:
     """The ramp along which a motor brakes when it receives nothing more (degrees/s² of its output shaft)."""
     wanted = joint.max_acceleration_rad_s2 * arm.limits.silence_brake_factor * joint.ratio
-    return min(max(round(math.degrees(wanted)), RAMP_DPS_S[0]), RAMP_DPS_S[1])
+    return min(max(round(math.degrees(wanted)), RAMP_RANGE_DPS_S[0]), RAMP_RANGE_DPS_S[1])
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
     """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     drive = _drive(config)
-    if (yield _asked(drive, ANGLE)) is None:
+    if (yield _asked(drive, protocol.ANGLE)) is None:
         rate = f"the bit rate ({host.arm.bus.bitrate} bit/s; motors come with 1000000)"
         raise unanswered(joint, config, f"motor_id {drive.motor_id}", f"its ID and {rate}")
     restarted = yield from _without_errors(host, joint)
@@ -159,10 +138,11 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     yield from _at_rest(joint, config)
     yield from _with_its_ramp(host, joint)
     held = yield from _angle(joint, config)
-    yield from _answered(joint, config, TARGET, "target", struct.pack("<xHi", CREEP_DPS, held))
-    status = yield from _answered(joint, config, STATUS, "status")
-    if status[3] == 0:  # or it has no brake
-        yield from _answered(joint, config, RELEASE_BRAKE, "brake")
+    here = {protocol.TARGET_SPEED_DPS: CREEP_DPS, protocol.TARGET_ANGLE: held}
+    yield from _answered(joint, config, protocol.TARGET, "target", here)
+    status = yield from _answered(joint, config, protocol.STATUS, "status")
+    if unpacked(status, protocol.BRAKE_RELEASED) == 0:  # or it has no brake
+        yield from _answered(joint, config, protocol.RELEASE_BRAKE, "brake")
     reading = yield from _angle(joint, config)
     reason = Unreferenced.POWER_LOST if restarted else Unreferenced.INCREMENTAL
     # The last question, so that it covers everything that was read before.
@@ -209,10 +189,10 @@ def _agreed_uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
 def _uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
     """Read the motor's uptime once; None if it does not answer."""
     asked_ns = host.now_ns + suspended_ns()
-    answer = yield _asked(_drive(host.arm.joints[joint]), UPTIME)
+    answer = yield _asked(_drive(host.arm.joints[joint]), protocol.UPTIME)
     if answer is None:
         return None
-    ms = int.from_bytes(answer.data[4:], "little")
+    ms = unpacked(answer.data, protocol.UPTIME_MS)
     return Uptime(BOOT_ID.read_text().strip(), ms, asked_ns, host.now_ns + suspended_ns())
 
 
@@ -224,7 +204,7 @@ def suspended_ns() -> int:
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
     """Shut the motor down, which it acknowledges; raises DialogueFailed."""
     config = arm.joints[joint]
-    if (yield _asked(_drive(config), SHUTDOWN)) is None:
+    if (yield _asked(_drive(config), protocol.SHUTDOWN)) is None:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not say that it has let go: keep clear of the arm, check its power and "
@@ -238,7 +218,7 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
     error = yield from _error(joint, config)
     if not error:
         return False
-    words, restarts = error_words(error, ERRORS), bool(error & NEEDS_RESTART)
+    words, restarts = error_words(error, protocol.ERRORS), bool(error & protocol.NEEDS_RESTART)
     if not host.clears_protection:
         ends = ", which ends with a restart of the drive only," if restarts else ""
         raise DialogueFailed(
@@ -248,9 +228,9 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
         )
     if restarts:
         host.tell(f"{config.name}: its drive is restarted, because its error ({words}) ends with that only.")
-        yield say(_frame(_drive(config), RESET))
+        yield say(_frame(_drive(config), protocol.RESET))
         began_ns = host.now_ns
-        while (yield _asked(_drive(config), ANGLE)) is None:
+        while (yield _asked(_drive(config), protocol.ANGLE)) is None:
             if host.now_ns - began_ns > RESTART_S * 1e9:
                 raise DialogueFailed(joint, silent_amid(config, "restart"))
     for _ in range(TRIES):
@@ -259,7 +239,7 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
             return restarts
     raise DialogueFailed(
         joint,
-        f"The drive of {config.name} keeps its error ({error_words(error, ERRORS)})"
+        f"The drive of {config.name} keeps its error ({error_words(error, protocol.ERRORS)})"
         f"{' after a restart' if restarts else ''}, so what caused it is still there: remove it, then `rtarm "
         "clear-fault`.",
     )
@@ -268,10 +248,10 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
 def _at_rest(joint: int, config: JointConfig) -> Part[None]:
     """Stop the motor if it moves; raises DialogueFailed."""
     for _ in range(TRIES * TRIES):
-        feedback = yield from _answered(joint, config, FEEDBACK, "speed")
-        if struct.unpack_from("<h", feedback, 4)[0] == 0:
+        feedback = yield from _answered(joint, config, protocol.FEEDBACK, "speed")
+        if unpacked(feedback, protocol.SPEED) == 0:
             return
-        yield from _answered(joint, config, STOP, "stop")
+        yield from _answered(joint, config, protocol.STOP, "stop")
     raise DialogueFailed(
         joint,
         f"The drive of {config.name} turns and does not stop: end what leads or moves it, then `rtarm clear-fault`, or "
@@ -283,8 +263,8 @@ def _with_its_ramp(host: Host, joint: int) -> Part[None]:
     """Check the ramps of the motor's position planning, and write those that differ; raises DialogueFailed."""
     config = host.arm.joints[joint]
     wanted = ramp_dps_s(config, host.arm)
-    up = yield from _with_ramp(joint, config, *RAMPS[0], wanted)
-    down = yield from _with_ramp(joint, config, *RAMPS[1], wanted)
+    up = yield from _with_ramp(joint, config, *protocol.RAMPS[0], wanted)
+    down = yield from _with_ramp(joint, config, *protocol.RAMPS[1], wanted)
     if up != wanted or down != wanted:
         host.tell(
             f"{config.name}: the ramp of its drive was {up} °/s² up and {down} °/s² down, and is {wanted} °/s² now; "
@@ -295,9 +275,10 @@ def _with_its_ramp(host: Host, joint: int) -> Part[None]:
 def _with_ramp(joint: int, config: JointConfig, index: int, name: str, wanted: int) -> Part[int]:
     """Write a ramp where it is another one; what it was before (degrees/s²). Raises DialogueFailed."""
     before = found = yield from _ramp(joint, config, index, name)
+    ramp = {protocol.RAMP_INDEX: index, protocol.RAMP_DPS_S: wanted}
     if found != wanted:
         found = yield from written(
-            lambda: _answered(joint, config, WRITE_RAMP, name, struct.pack("<BxxI", index, wanted)),
+            lambda: _answered(joint, config, protocol.WRITE_RAMP, name, ramp),
             lambda: _ramp(joint, config, index, name),
             lambda found: found == wanted,
         )
@@ -316,14 +297,14 @@ def _drive(config: JointConfig) -> MyactuatorDrive:
     return config.drive
 
 
-def _frame(drive: MyactuatorDrive, command: int, data: bytes = b"") -> Frame:
-    return Frame(REQUEST + drive.motor_id, bytes((command, *data)).ljust(8, b"\0"), kind=STANDARD)
+def _frame(drive: MyactuatorDrive, command: int, values: Values = NO_VALUES) -> Frame:
+    return Frame(REQUEST + drive.motor_id, packed({protocol.COMMAND: command, **values}), kind=STANDARD)
 
 
-def _asked(drive: MyactuatorDrive, command: int, data: bytes = b"") -> AskFrames:
+def _asked(drive: MyactuatorDrive, command: int, values: Values = NO_VALUES) -> AskFrames:
     """A command whose answer begins with the same byte, and for a ramp with the same index too."""
-    request = _frame(drive, command, data)
-    same = 2 if command in (READ_RAMP, WRITE_RAMP) else 1
+    request = _frame(drive, command, values)
+    same = 2 if command in (protocol.READ_RAMP, protocol.WRITE_RAMP) else 1
 
     def is_answer(frame: Frame) -> bool:
         whose = frame.id == REPLY + drive.motor_id
@@ -332,28 +313,28 @@ def _asked(drive: MyactuatorDrive, command: int, data: bytes = b"") -> AskFrames
     return AskFrames((request,), is_answer)
 
 
-def _answered(joint: int, config: JointConfig, command: int, what: str, data: bytes = b"") -> Part[bytes]:
+def _answered(joint: int, config: JointConfig, command: int, what: str, values: Values = NO_VALUES) -> Part[bytes]:
     """The data of the answer to a command; raises DialogueFailed if there is none."""
-    return bytes((yield from answered(joint, config, _asked(_drive(config), command, data), what)).data)
+    return bytes((yield from answered(joint, config, _asked(_drive(config), command, values), what)).data)
 
 
 def _angle(joint: int, config: JointConfig) -> Part[int]:
     """Angle of the output shaft (0.01°), read twice in a row, to become a target; raises DialogueFailed."""
 
     def read() -> Part[int]:
-        data = yield from _answered(joint, config, ANGLE, "position")
-        return int(struct.unpack_from("<i", data, 4)[0])
+        return unpacked((yield from _answered(joint, config, protocol.ANGLE, "position")), protocol.READ_ANGLE)
 
-    return (yield from confirmed(read, math.degrees(SAME_PLACE_RAD) * config.ratio * HUNDREDTHS))
+    return (yield from confirmed(read, math.degrees(SAME_PLACE_RAD) * config.ratio * protocol.STEPS_PER_DEGREE))
 
 
 def _error(joint: int, config: JointConfig) -> Part[int]:
     """Read the error word; raises DialogueFailed."""
-    data = yield from _answered(joint, config, STATUS, "status")
-    return int(struct.unpack_from("<H", data, 6)[0])
+    return unpacked((yield from _answered(joint, config, protocol.STATUS, "status")), protocol.ERROR)
 
 
 def _ramp(joint: int, config: JointConfig, index: int, name: str) -> Part[int]:
     """Read a ramp of the position planning (degrees/s²); raises DialogueFailed."""
-    data = yield from _answered(joint, config, READ_RAMP, name, bytes((index,)))
-    return int(struct.unpack_from("<I", data, 4)[0])
+    return unpacked(
+        (yield from _answered(joint, config, protocol.READ_RAMP, name, {protocol.RAMP_INDEX: index})),
+        protocol.RAMP_DPS_S,
+    )

@@ -1,4 +1,4 @@
-"""Bring-up and disabling of an ODrive axis with CANSimple; `rtloop.drives.odrive` describes its frames.
+"""Bring-up and disabling of an ODrive axis with CANSimple.
 
 Bring-up reads (nothing moves): the position, the firmware's version, then the heartbeat with the error and whether the
 loop is closed. An idle axis gets its position as its input position before its loop is closed. An axis that reports no
@@ -8,7 +8,6 @@ set after that. If it stood still it keeps standing, off its new input position 
 """
 
 import math
-import struct
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -18,90 +17,20 @@ from config.drives.odrive import OdriveDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives import errors
+from rtloop.drives import odrive_protocol as protocol
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.errors import ErrorBit
+from rtloop.drives.numbers import NO_VALUES, Values, packed, unpacked, unpacked_single
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, require_may_enable
 from rtloop.drives.steps import answered, let_go, unanswered, without_error
-from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import REMOTE, STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, answer_patience_s
 from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
-COMMANDS = 32
-"""Number of commands of a node; the command is the lowest bits of an identifier."""
-VERSION, HEARTBEAT, AXIS_STATE, ESTIMATES, MODES, INPUT_POSITION = 0x00, 0x01, 0x07, 0x09, 0x0B, 0x0C
-CURRENT, BUS, CLEAR_ERRORS = 0x14, 0x17, 0x18
-ANSWER_BYTES = 8
-"""Length of every answer, which the remote frame states too."""
-
-IDLE, CLOSED_LOOP = 1, 8
-POSITION_CONTROL, PASSTHROUGH = 3, 1
-
-FIRMWARE_0_6 = 6
-"""Major version << 8 | minor version since which the error's bits are those of `ERRORS_0_6`."""
-ERRORS_0_5 = (
-    ErrorBit(1 << 0, "invalid state"),
-    ErrorBit(1 << 6, "motor"),
-    ErrorBit(1 << 7, "sensorless estimator", status_bits.ENCODER),
-    ErrorBit(1 << 8, "encoder", status_bits.ENCODER),
-    ErrorBit(1 << 9, "controller"),
-    ErrorBit(1 << 11, "watchdog expired", status_bits.COMMUNICATION),
-    ErrorBit(1 << 12, "minimum end stop"),
-    ErrorBit(1 << 13, "maximum end stop"),
-    ErrorBit(1 << 14, "emergency stop asked over CAN"),
-    ErrorBit(1 << 17, "homing without an end stop"),
-    ErrorBit(1 << 18, "over-temperature", status_bits.OVER_TEMPERATURE),
-    ErrorBit(1 << 19, "position unknown", status_bits.ENCODER),
-)
-"""Bits of the heartbeat's error word (firmware 0.5.6)."""
-ERRORS_0_6 = (
-    ErrorBit(1 << 0, "initializing"),
-    ErrorBit(1 << 1, "fault of the board"),
-    ErrorBit(1 << 2, "timing"),
-    ErrorBit(1 << 3, "no estimate of position or velocity", status_bits.ENCODER),
-    ErrorBit(1 << 4, "bad configuration"),
-    ErrorBit(1 << 5, "gate driver"),
-    ErrorBit(1 << 6, "missing input"),
-    ErrorBit(1 << 8, "over-voltage of the supply", status_bits.OVER_VOLTAGE),
-    ErrorBit(1 << 9, "under-voltage of the supply", status_bits.UNDER_VOLTAGE),
-    ErrorBit(1 << 10, "over-current from the supply", status_bits.OVER_CURRENT),
-    ErrorBit(1 << 11, "over-current back into the supply", status_bits.OVER_CURRENT),
-    ErrorBit(1 << 12, "over-current in the motor", status_bits.OVER_CURRENT),
-    ErrorBit(1 << 13, "over-temperature of the motor", status_bits.OVER_TEMPERATURE),
-    ErrorBit(1 << 14, "over-temperature of the board", status_bits.OVER_TEMPERATURE),
-    ErrorBit(1 << 15, "velocity limit"),
-    ErrorBit(1 << 16, "position limit"),
-    ErrorBit(1 << 24, "watchdog expired", status_bits.COMMUNICATION),
-    ErrorBit(1 << 25, "emergency stop asked for"),
-    ErrorBit(1 << 26, "spinout", status_bits.ENCODER),  # an encoder that slips or is offset
-    ErrorBit(1 << 27, "brake resistor disarmed"),
-    ErrorBit(1 << 28, "thermistor disconnected"),
-    ErrorBit(1 << 30, "calibration"),
-)
-"""The same of firmware 0.6 (odrive_enums.h in odriverobotics/ros_odrive)."""
-INITIALIZING = 1
-"""Error word of a board with firmware 0.6 that has just got power."""
-RESULTS = (
-    "success",
-    "busy",
-    "cancelled",
-    "disarmed",
-    "no response",
-    "pole pairs and encoder counts that do not fit",
-    "phase resistance out of range",
-    "phase inductance out of range",
-    "unbalanced phases",
-    "invalid motor type",
-    "illegal Hall state",
-    "timeout",
-    "homing without an end stop",
-    "invalid state",
-    "not calibrated",
-    "not converging",
-)
-"""Result, in the heartbeat of firmware 0.6, of the last request for a state (the same file)."""
-
+FOLLOWS_POSITIONS: Values = {
+    protocol.CONTROL_MODE: protocol.POSITION_CONTROL,
+    protocol.INPUT_MODE: protocol.PASSTHROUGH,
+}
 MISSED_HEARTBEATS = 3
 BUSY_S = 2.0
 """An axis closes its loop in less time than this, unless it must be calibrated first."""
@@ -117,7 +46,7 @@ class Firmware(NamedTuple):
     @property
     def is_0_6(self) -> bool:
         """Whether its protocol is that of 0.6."""
-        return self.major << 8 | self.minor >= FIRMWARE_0_6
+        return self.major << 8 | self.minor >= protocol.FIRMWARE_0_6
 
     def __str__(self) -> str:
         return "firmware " + ".".join(str(number) for number in self if number is not None)
@@ -144,26 +73,26 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     node = _drive(config).node_id
-    if (yield _asked(node, ESTIMATES)) is None:
+    if (yield _asked(node, protocol.ESTIMATES)) is None:
         rate = f"{host.arm.bus.bitrate} bit/s; axis.config.can.node_id and can.config.baud_rate"
         raise unanswered(joint, config, f"node {node}", f"its node and the bit rate ({rate})")
     firmware = yield from _firmware(node)
     beat = yield from _without_errors(host, joint, firmware)
     for _ in range(TRIES):
         standing = yield from confirmed(lambda: _turns(joint, config), SAME_PLACE_RAD * config.ratio / (2.0 * math.pi))
-        here = _frame(node, INPUT_POSITION, struct.pack("<fhh", standing, 0, 0))
-        modes = _frame(node, MODES, struct.pack("<II", POSITION_CONTROL, PASSTHROUGH))
-        if standing != 0.0 or beat.state == CLOSED_LOOP or firmware.is_0_6:
+        here = _frame(node, protocol.INPUT_POSITION, {protocol.INPUT_TURNS: standing})
+        modes = _frame(node, protocol.MODES, FOLLOWS_POSITIONS)
+        if standing != 0.0 or beat.state == protocol.CLOSED_LOOP or firmware.is_0_6:
             yield say(here)  # sent twice: if it were lost, the modes would send the axis to its old input position
             yield say(here, modes)
         else:
             yield say(modes)
-        if beat.state == CLOSED_LOOP:
+        if beat.state == protocol.CLOSED_LOOP:
             break
         require_may_enable(host, joint)
-        yield say(_frame(node, AXIS_STATE, struct.pack("<II", CLOSED_LOOP, 0)))
-        beat = yield from _heartbeat(host.arm, joint, lambda beat: beat.state == CLOSED_LOOP)
-        if beat.state == CLOSED_LOOP:
+        yield say(_frame(node, protocol.AXIS_STATE, {protocol.WANTED_STATE: protocol.CLOSED_LOOP}))
+        beat = yield from _heartbeat(host.arm, joint, lambda beat: beat.state == protocol.CLOSED_LOOP)
+        if beat.state == protocol.CLOSED_LOOP:
             break
     else:
         raise DialogueFailed(
@@ -181,40 +110,43 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
     config = arm.joints[joint]
 
     def told() -> Part[str]:
-        yield say(_frame(_drive(config).node_id, AXIS_STATE, struct.pack("<II", IDLE, 0)))
-        beat = yield from _heartbeat(arm, joint, lambda beat: beat.state != CLOSED_LOOP)
-        return "keeps its loop closed" if beat.state == CLOSED_LOOP else ""
+        yield say(_frame(_drive(config).node_id, protocol.AXIS_STATE, {protocol.WANTED_STATE: protocol.IDLE}))
+        beat = yield from _heartbeat(arm, joint, lambda beat: beat.state != protocol.CLOSED_LOOP)
+        return "keeps its loop closed" if beat.state == protocol.CLOSED_LOOP else ""
 
     yield from let_go(joint, config, told, "look at the axis in odrivetool")
 
 
 def error_words(error: int, firmware: Firmware) -> str:
     """The heartbeat's error word in words."""
-    return errors.error_words(error, ERRORS_0_6 if firmware.is_0_6 else ERRORS_0_5)
+    return errors.error_words(error, protocol.ERRORS_0_6 if firmware.is_0_6 else protocol.ERRORS_0_5)
 
 
 def _why_open(beat: Beat, firmware: Firmware) -> str:
     """Why a loop is not closed, according to a heartbeat."""
     if beat.error:
         return f"its error is {error_words(beat.error, firmware)}"
-    if firmware.is_0_6 and 0 < beat.result < len(RESULTS):
-        return f"its procedure result is {RESULTS[beat.result]}"
+    if firmware.is_0_6 and 0 < beat.result < len(protocol.RESULTS):
+        return f"its procedure result is {protocol.RESULTS[beat.result]}"
     return f"its state is {beat.state}"
 
 
 def _firmware(node: int) -> Part[Firmware]:
     """The firmware's version; 0.5 if the node does not answer the request for it."""
-    answer = yield _asked(node, VERSION)
-    return Firmware() if answer is None else Firmware(*answer.data[4:7])
+    answer = yield _asked(node, protocol.VERSION)
+    if answer is None:
+        return Firmware()
+    return Firmware(*(unpacked(answer.data, part) for part in (protocol.MAJOR, protocol.MINOR, protocol.REVISION)))
 
 
 def _without_errors(host: Host, joint: int, firmware: Firmware) -> Part[Beat]:
     """Check that the axis has no error, and clear one if the operator asked for that; raises DialogueFailed."""
     config = host.arm.joints[joint]
-    beat = yield from _heartbeat(host.arm, joint, lambda beat: not (firmware.is_0_6 and beat.error == INITIALIZING))
+    initializing = protocol.INITIALIZING if firmware.is_0_6 else None
+    beat = yield from _heartbeat(host.arm, joint, lambda beat: beat.error != initializing)
 
     def cleared() -> Part[Beat]:
-        yield say(_frame(_drive(config).node_id, CLEAR_ERRORS))
+        yield say(_frame(_drive(config).node_id, protocol.CLEAR_ERRORS))
         return (yield from _heartbeat(host.arm, joint, lambda beat: beat.error == 0))
 
     return (
@@ -236,21 +168,26 @@ def _drive(config: JointConfig) -> OdriveDrive:
     return config.drive
 
 
-def _frame(node: int, command: int, data: bytes = b"") -> Frame:
-    return Frame(node << 5 | command, data.ljust(ANSWER_BYTES, b"\0"), kind=STANDARD)
+def _frame(node: int, command: int, values: Values = NO_VALUES) -> Frame:
+    return Frame(node << 5 | command, packed(values), kind=STANDARD)
 
 
 def _asked(node: int, command: int) -> AskFrames:
     """A request (remote frame) for one of the node's values."""
-    request = Frame(node << 5 | command, bytes(ANSWER_BYTES), kind=STANDARD | REMOTE)
-    return AskFrames((request,), lambda frame: frame.id & (COMMANDS - 1) == command and len(frame.data) == ANSWER_BYTES)
+    request = Frame(node << 5 | command, bytes(protocol.ANSWER_BYTES), kind=STANDARD | REMOTE)
+    return AskFrames((request,), lambda frame: _says(frame, command))
+
+
+def _says(frame: Frame, command: int) -> bool:
+    """Whether a frame of the node holds that value."""
+    return frame.id & (protocol.COMMANDS - 1) == command and len(frame.data) == protocol.ANSWER_BYTES
 
 
 def _turns(joint: int, config: JointConfig) -> Part[float]:
     """The motor's position (turns); raises DialogueFailed."""
     for _ in range(TRIES):
-        answer = yield from answered(joint, config, _asked(_drive(config).node_id, ESTIMATES), "position")
-        turns = float(struct.unpack("<f", answer.data[:4])[0])
+        answer = yield from answered(joint, config, _asked(_drive(config).node_id, protocol.ESTIMATES), "position")
+        turns = unpacked_single(answer.data, protocol.TURNS)
         if math.isfinite(turns):
             return turns
     raise DialogueFailed(
@@ -268,7 +205,7 @@ def _heartbeat(arm: ArmConfig, joint: int, until: Callable[[Beat], bool]) -> Par
     config = arm.joints[joint]
     heartbeat_s = _drive(config).heartbeat_ms * 1e-3
     found: Beat | None = None
-    listened = AskFrames((), lambda frame: frame.id & (COMMANDS - 1) == HEARTBEAT and len(frame.data) == ANSWER_BYTES)
+    listened = AskFrames((), lambda frame: _says(frame, protocol.HEARTBEAT))
     waited_s = silent_s = 0.0
     while waited_s < MISSED_HEARTBEATS * heartbeat_s + BUSY_S and silent_s < MISSED_HEARTBEATS * heartbeat_s:
         frame = yield listened
@@ -278,7 +215,7 @@ def _heartbeat(arm: ArmConfig, joint: int, until: Callable[[Beat], bool]) -> Par
             continue
         waited_s += heartbeat_s
         silent_s = 0.0
-        found = Beat(*struct.unpack("<IBB", frame.data[:6]))
+        found = Beat(*(unpacked(frame.data, part) for part in (protocol.ERROR, protocol.STATE, protocol.RESULT)))
         if until(found):
             return found
     if found is None:

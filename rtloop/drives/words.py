@@ -3,7 +3,7 @@
 import numpy as np
 
 from compilation.jit import jit
-from rtloop.drives import fields
+from rtloop.drives import fields, numbers
 
 
 @jit
@@ -66,5 +66,20 @@ def swapped(value: int, size: int) -> int:
     return found
 
 
+@jit
+def single(data: int, where: numbers.Single) -> float:
+    """The single in a frame's data."""
+    return float_at(data, where.at)
+
+
+@jit
+def placed_single(where: numbers.Single, value: float) -> int:
+    """Data in which the single is a value, and all other bytes 0."""
+    return float_word(value) << 8 * where.at
+
+
+whole = jit(numbers.whole)
+quantity = jit(numbers.quantity)
+placed = jit(numbers.placed)
 field = jit(fields.field)
 of_field = jit(fields.of_field)

@@ -28,7 +28,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from config.drives.myactuator import ALL_MOTORS, RAMP_DPS_S, REPLY, REQUEST
+from config.drives.myactuator import ALL_MOTORS, RAMP_RANGE_DPS_S, REPLY, REQUEST
 from config.drives.myactuator import MyactuatorDrive as MyactuatorConfig
 from sim.bus import Frame
 from sim.drives.conversation import ServoDrive
@@ -249,7 +249,7 @@ class MyactuatorDrive(ServoDrive):
 
     def _write_ramp(self, data: bytes) -> bytes:
         ramp = int.from_bytes(data[4:], "little")
-        if data[1] < len(self.settings.ramps_dps_s) and RAMP_DPS_S[0] <= ramp <= RAMP_DPS_S[1]:
+        if data[1] < len(self.settings.ramps_dps_s) and RAMP_RANGE_DPS_S[0] <= ramp <= RAMP_RANGE_DPS_S[1]:
             self.settings.ramps_dps_s[data[1]] = ramp
             self.rom_writes += 1
         return data

@@ -8,7 +8,8 @@ from codec_rig import Rig, arm_of, golden
 from config.budget import budget
 from config.loader import load_arm
 from rtloop.drives.errors import error_words
-from rtloop.drives.myactuator_setup import ERRORS, ramp_dps_s
+from rtloop.drives.myactuator_protocol import ERRORS
+from rtloop.drives.myactuator_setup import ramp_dps_s
 
 DRIVE = golden("myactuator")["joints"]["usual"]["drive"]
 

@@ -16,7 +16,8 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.drives.odrive_setup import ESTIMATES, HEARTBEAT, VERSION, Firmware, bring_up, disable, error_words
+from rtloop.drives.odrive_protocol import ESTIMATES, HEARTBEAT, VERSION
+from rtloop.drives.odrive_setup import Firmware, bring_up, disable, error_words
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import DialogueFailed
 from rtloop.service.port import Frame
