@@ -1,4 +1,4 @@
-"""Bring-up, homing and disabling of an MKS SERVO42D/57D; `rtloop.drives.mks` describes its frames.
+"""Bring-up, homing and disabling of an MKS SERVO42D/57D.
 
 Bring-up reads (nothing moves): position, whether the drive moves, work mode, microsteps and acknowledgements, whether
 it has stalled and whether a stall switches its torque off, whether it is enabled, and how far it is from its own
@@ -18,7 +18,9 @@ from config.derived import braking_deceleration_rad_s2, silence_acc_byte
 from config.drives.mks import COUNTS_PER_REVOLUTION, MksDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
+from rtloop.drives import mks_protocol as protocol
 from rtloop.drives.asking import AskFrames
+from rtloop.drives.numbers import packed, unpacked
 from rtloop.drives.setup import ERROR_AT_START, Found, Host, ReferencingHost
 from rtloop.drives.steps import answered, let_go, unanswered
 from rtloop.memory.frame_words import STANDARD
@@ -27,29 +29,8 @@ from rtloop.service.port import HOLDS_STALLED, Frame
 from sentences.told import unreferenced_sentence
 from shm.words import Unreferenced
 
-READ_PARAMETER = 0x00
-READ_POSITION, READ_ERROR = 0x31, 0x39
-READ_ENABLED, READ_HOMED, CLEAR_PROTECTION, READ_STALLED = 0x3A, 0x3B, 0x3D, 0x3E
-WORK_MODE, MICROSTEPS, PROTECT, ANSWERS, HOME, ERROR_GUARD = 0x82, 0x84, 0x88, 0x8C, 0x91, 0x9D
-READ_STATE, ENABLE, MOVE, EMERGENCY_STOP = 0xF1, 0xF3, 0xF5, 0xF7
-
-STOP_AT_ONCE = bytes((MOVE, 0, 0, 0, 0, 0, 0))
+STOP_AT_ONCE = packed({protocol.CODE: protocol.MOVE}, protocol.TARGET_BYTES)
 """Speed 0 without a ramp: stop in position mode, as the manual has it (V1.0.6, 6.8)."""
-
-REFUSED, BEGUN, STOPPED_AT_LIMIT = 0, 1, 3
-"""Results of a command."""
-STANDS, HOMING, CALIBRATING = 1, 5, 6
-"""Answers to READ_STATE; the values between STANDS and HOMING mean that the drive moves."""
-HOMING_FAILED = 2
-SR_VFOC = 5
-UNKNOWN = b"\xff\xff"
-"""Answer to a request for a setting that the drive does not have."""
-HIGHEST_RPM = 3000
-"""In SR_vFOC."""
-TRUE_SPEED_MICROSTEPS = (16, 32, 64)
-"""Microsteps with which the speed in a command is in rpm; with others it is not (manual V1.0.6, 6.1)."""
-ERROR_STEPS_PER_REVOLUTION = 51_200
-
 AGREEING = 2
 """Answers in a row that must agree: a single one may hold for a moment only."""
 SYNC_WITHIN_RAD = 0.02
@@ -76,7 +57,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     can_id = _can_id(config)
-    if (yield _ask(can_id, 8, READ_POSITION)) is None:
+    if (yield _ask(can_id, 8, protocol.READ_POSITION)) is None:
         menu = f"CanID and CanRate ({host.arm.bus.bitrate} bit/s) in its menu"
         raise unanswered(joint, config, f"CanID {can_id}", menu)
     was_homing = yield from _stand(host, joint)
@@ -86,11 +67,11 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         host.tell(unreferenced_sentence(reason, config.name))
     yield from _settle_mode(host, joint)
     yield from _settle_answers(host, joint)
-    enabled = yield from _read(joint, config, READ_ENABLED, "status")
+    enabled = yield from _read(joint, config, protocol.READ_ENABLED, "status")
     if not (yield from _lets_go_stalled(config)):
         host.post(HOLDS_STALLED, joint=joint)
     yield from _clear_protection(host, joint)
-    if not enabled or not (yield from _read(joint, config, READ_ENABLED, "status")):
+    if not enabled or not (yield from _read(joint, config, protocol.READ_ENABLED, "status")):
         yield from _enable(host.arm, joint)
     return (yield from _standing(host, joint, reason))
 
@@ -100,8 +81,8 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
     config = arm.joints[joint]
 
     def told() -> Part[str]:
-        enabled = yield _ask(_can_id(config), 3, READ_ENABLED, before=(bytes((ENABLE, 0)),))
-        return "" if enabled is not None and enabled.data[1] == 0 else "stays enabled"
+        enabled = yield _ask(_can_id(config), 3, protocol.READ_ENABLED, before=(bytes((protocol.ENABLE, 0)),))
+        return "" if enabled is not None and unpacked(enabled.data, protocol.VALUE) == 0 else "stays enabled"
 
     yield from let_go(joint, config, told)
 
@@ -118,9 +99,9 @@ def home(host: ReferencingHost, joint: int) -> Part[float]:
     yield from _begin_run(host, joint, config)
     stopped = yield from _see_it_end(host, joint, config, began)
     measured = yield from _unbroken(host, joint, _position(joint, config))
-    result = yield _ask(can_id, (3, 4), READ_HOMED)
+    result = yield _ask(can_id, (3, 4), protocol.READ_HOMED)
     tripped = yield from _tripped(joint, config)
-    failed = result is not None and result.data[-2] == HOMING_FAILED
+    failed = result is not None and result.data[-2] == protocol.HOMING_FAILED
     if failed or tripped or abs(measured) > SYNC_WITHIN_RAD * config.encoder_counts_per_rad:
         raise DialogueFailed(
             joint,
@@ -128,7 +109,7 @@ def home(host: ReferencingHost, joint: int) -> Part[float]:
             "that its protection has tripped, so it has not found its stop: see that it can reach it and that Hm_Mode, "
             f"Hm_Dir, Hm_Speed and Hm_Ma in its menu fit, then {host.again}.",
         )
-    if not (yield from _read(joint, config, READ_ENABLED, "status")):
+    if not (yield from _read(joint, config, protocol.READ_ENABLED, "status")):
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} has let the joint go at the end of its homing run: set EndLimit in its menu "
@@ -144,8 +125,8 @@ def end_homing(host: ReferencingHost, joint: int) -> Dialogue:
     config = host.arm.joints[joint]
     seen = 0
     for _ in range(TRIES + AGREEING):
-        state = yield _ask(_can_id(config), 3, READ_STATE, before=(bytes((EMERGENCY_STOP,)),))
-        seen = seen + 1 if state is not None and state.data[1] == STANDS else 0
+        state = yield _ask(_can_id(config), 3, protocol.READ_STATE, before=(bytes((protocol.EMERGENCY_STOP,)),))
+        seen = seen + 1 if state is not None and unpacked(state.data, protocol.VALUE) == protocol.STANDS else 0
         if seen >= AGREEING:
             return
     raise DialogueFailed(
@@ -157,12 +138,12 @@ def end_homing(host: ReferencingHost, joint: int) -> Dialogue:
 
 def _begin_run(host: ReferencingHost, joint: int, config: JointConfig) -> Part[None]:
     can_id, since_ns = _can_id(config), host.now_ns
-    answer = yield _ask(can_id, 3, HOME, answered=False)  # its state shows whether the run has begun
-    refused = answer is not None and answer.data[1] == REFUSED
+    answer = yield _ask(can_id, 3, protocol.HOME, answered=False)  # its state shows whether the run has begun
+    refused = answer is not None and unpacked(answer.data, protocol.VALUE) == protocol.REFUSED
     seen = 0
     while not refused and host.now_ns - since_ns < BEGIN_NS:
-        state = yield from _unbroken(host, joint, _read(joint, config, READ_STATE, "state"))
-        seen = seen + 1 if state == HOMING else 0
+        state = yield from _unbroken(host, joint, _read(joint, config, protocol.READ_STATE, "state"))
+        seen = seen + 1 if state == protocol.HOMING else 0
         if seen >= AGREEING:
             return
     raise DialogueFailed(
@@ -176,8 +157,8 @@ def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: in
     """Wait for the end of the run; the last position read before it ended, in the drive's count from before the run."""
     began_ns, newest, ended = host.now_ns, last, 0
     while ended < AGREEING:
-        state = yield from _unbroken(host, joint, _read(joint, config, READ_STATE, "homing state"))
-        ended = ended + 1 if state != HOMING else 0
+        state = yield from _unbroken(host, joint, _read(joint, config, protocol.READ_STATE, "homing state"))
+        ended = ended + 1 if state != protocol.HOMING else 0
         if not ended:
             last = newest  # the drive was still homing after this reading, so it had not reset its count yet
             newest = yield from _unbroken(host, joint, _position(joint, config))
@@ -214,22 +195,23 @@ def _stand(host: Host, joint: int) -> Part[bool]:
     """Check that the drive stands, and stop it if not; whether it was in a homing run."""
     config = host.arm.joints[joint]
     can_id, began_ns = _can_id(config), host.now_ns
-    halt = bytes((MOVE, 0, 0, silence_acc_byte(config, host.arm.limits), 0, 0, 0))
+    acc_byte = silence_acc_byte(config, host.arm.limits)
+    halt = packed({protocol.CODE: protocol.MOVE, protocol.TARGET_ACC: acc_byte}, protocol.TARGET_BYTES)
     halt_patience_ns = round(1e9 * max(HALT_PATIENCE_S, host.arm.patience.drives_s))
     before: tuple[bytes, ...] = ()
     standing, was_homing = 0, False
     while standing < AGREEING:
-        answer = yield from answered(joint, config, _ask(can_id, 3, READ_STATE, before=before), "state")
-        state = answer.data[1]
-        if state == CALIBRATING:
+        answer = yield from answered(joint, config, _ask(can_id, 3, protocol.READ_STATE, before=before), "state")
+        state = unpacked(answer.data, protocol.VALUE)
+        if state == protocol.CALIBRATING:
             raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} is calibrating its encoder: wait until it has ended, then `rtarm "
                 "clear-fault`, or `rtarm up` where it has ended.",
             )
-        was_homing |= state == HOMING
+        was_homing |= state == protocol.HOMING
         waited_ns = host.now_ns - began_ns
-        if state in (STANDS, 0):  # 0: a work mode in which the drive reports no state and ignores commands
+        if state in (protocol.STANDS, 0):  # 0: a work mode in which the drive reports no state and ignores commands
             standing, before = standing + 1, ()
         elif waited_ns > halt_patience_ns + SETTLE_PATIENCE_NS:
             raise DialogueFailed(
@@ -239,24 +221,25 @@ def _stand(host: Host, joint: int) -> Part[bool]:
             )
         else:
             standing = 0
-            before = (bytes((EMERGENCY_STOP,)) if state == HOMING or waited_ns > halt_patience_ns else halt,)
+            at_once = state == protocol.HOMING or waited_ns > halt_patience_ns
+            before = (bytes((protocol.EMERGENCY_STOP,)) if at_once else halt,)
     return was_homing
 
 
 def _settle_mode(host: Host, joint: int) -> Part[None]:
     """Check that the drive takes commands from the bus, and their speed as rpm; set its work mode if need be."""
     config = host.arm.joints[joint]
-    microsteps = yield from _parameter(config, MICROSTEPS, 3)
-    if microsteps is not None and (microsteps[1] or 256) not in TRUE_SPEED_MICROSTEPS:
+    microsteps = yield from _parameter(config, protocol.MICROSTEPS, 3)
+    if microsteps is not None and (microsteps[1] or 256) not in protocol.TRUE_SPEED_MICROSTEPS:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} is set to {microsteps[1] or 256} microsteps, with which its speed is not the "
             "one it is told: set MStep in its menu to 16, 32 or 64.",
         )
-    mode = yield from _parameter(config, WORK_MODE, 3)
-    if mode is not None and mode[1] == SR_VFOC:
+    mode = yield from _parameter(config, protocol.WORK_MODE, 3)
+    if mode is not None and mode[1] == protocol.SR_VFOC:
         return
-    if not (yield from _told(config, WORK_MODE, SR_VFOC)):
+    if not (yield from _told(config, protocol.WORK_MODE, protocol.SR_VFOC)):
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not take the work mode SR_vFOC, in which alone it heeds commands from "
@@ -270,10 +253,10 @@ def _settle_answers(host: Host, joint: int) -> Part[None]:
     """Turn acknowledgements on or off as the arm file says; reports of ended motions are turned off in any case."""
     config = host.arm.joints[joint]
     wanted = int(host.arm.bus.acknowledge)
-    found = yield from _parameter(config, ANSWERS, 4)
+    found = yield from _parameter(config, protocol.ANSWERS, 4)
     if found is not None and found[1:3] == bytes((wanted, 0)):
         return
-    if (yield from _told(config, ANSWERS, wanted, 0)):
+    if (yield from _told(config, protocol.ANSWERS, wanted, 0)):
         if found is not None:
             name = "on" if wanted else "off"
             host.tell(f"{config.name}: acknowledgements turned {name} in its drive, which keeps that.")
@@ -300,7 +283,7 @@ def _clear_protection(host: Host, joint: int) -> Part[None]:
             f"The drive of {config.name} has tripped its protection (stall) and holds nothing: free what blocks the "
             f"joint, {ERROR_AT_START}.",
         )
-    yield _ask(_can_id(config), 3, CLEAR_PROTECTION)
+    yield _ask(_can_id(config), 3, protocol.CLEAR_PROTECTION)
     if (yield from _tripped(joint, config)):
         raise DialogueFailed(
             joint,
@@ -311,11 +294,11 @@ def _clear_protection(host: Host, joint: int) -> Part[None]:
 
 def _tripped(joint: int, config: JointConfig) -> Part[bool]:
     """Whether the drive's protection has tripped; the flag of a stall that left the torque on is cleared (3D)."""
-    if not (yield from _read(joint, config, READ_STALLED, "protection")):
+    if not (yield from _read(joint, config, protocol.READ_STALLED, "protection")):
         return False
     if (yield from _lets_go_stalled(config)):
         return True
-    yield _ask(_can_id(config), 3, CLEAR_PROTECTION)
+    yield _ask(_can_id(config), 3, protocol.CLEAR_PROTECTION)
     return False
 
 
@@ -325,9 +308,9 @@ def _lets_go_stalled(config: JointConfig) -> Part[bool]:
     A setting that cannot be read is taken to be on.
     """
     can_id = _can_id(config)
-    for code, length in ((PROTECT, 3), (ERROR_GUARD, 7)):
+    for code, length in ((protocol.PROTECT, 3), (protocol.ERROR_GUARD, 7)):
         answer = yield _parameter_question(can_id, code, (4, length))
-        if answer is None or (answer.data[1:3] != UNKNOWN and answer.data[1]):
+        if answer is None or (answer.data[1:3] != protocol.UNKNOWN and answer.data[1]):
             return True
     return False
 
@@ -335,9 +318,10 @@ def _lets_go_stalled(config: JointConfig) -> Part[bool]:
 def _enable(arm: ArmConfig, joint: int) -> Part[None]:
     """Enable the drive where it stands; a stop follows immediately, in case the drive would go to an old target."""
     config = arm.joints[joint]
+    before = (bytes((protocol.ENABLE, 1)), STOP_AT_ONCE)
     for _ in range(TRIES):
-        enabled = yield _ask(_can_id(config), 3, READ_ENABLED, before=(bytes((ENABLE, 1)), STOP_AT_ONCE))
-        if enabled is not None and enabled.data[1] == 1:
+        enabled = yield _ask(_can_id(config), 3, protocol.READ_ENABLED, before=before)
+        if enabled is not None and unpacked(enabled.data, protocol.VALUE) == 1:
             return
     raise DialogueFailed(
         joint,
@@ -356,7 +340,7 @@ def _standing(host: Host, joint: int, reason: Unreferenced) -> Part[Found]:
             return Found(measured, target, reason)
         if not stopped:  # the target is not from this process
             stopped = True
-            yield _ask(_can_id(config), 3, READ_STATE, before=(STOP_AT_ONCE,))
+            yield _ask(_can_id(config), 3, protocol.READ_STATE, before=(STOP_AT_ONCE,))
         elif host.now_ns - started_ns > SETTLE_PATIENCE_NS:
             return Found(measured, measured, reason)
 
@@ -403,7 +387,7 @@ def _told(config: JointConfig, *data: int) -> Part[bool]:
         answer = yield _ask(can_id, 3, *data)
         if answer is None:
             return False
-        if answer.data[1] == BEGUN:
+        if unpacked(answer.data, protocol.VALUE) == protocol.BEGUN:
             return True
     return False
 
@@ -411,31 +395,31 @@ def _told(config: JointConfig, *data: int) -> Part[bool]:
 def _parameter(config: JointConfig, code: int, length: int) -> Part[bytes | None]:
     """Read a setting: the answer, of `length` bytes; None if the drive does not offer the setting for reading."""
     answer = yield _parameter_question(_can_id(config), code, (3, 4))
-    if answer is None or len(answer.data) != length or answer.data[1:3] == UNKNOWN:
+    if answer is None or len(answer.data) != length or answer.data[1:3] == protocol.UNKNOWN:
         return None
     return bytes(answer.data)
 
 
 def _parameter_question(can_id: int, code: int, lengths: tuple[int, ...]) -> AskFrames:
     """The request for a setting; the answer of a drive that does not have it is four bytes, two of them UNKNOWN."""
-    return AskFrames((_frame(can_id, bytes((READ_PARAMETER, code))),), _is_answer(can_id, lengths, code))
+    return AskFrames((_frame(can_id, bytes((protocol.READ_PARAMETER, code))),), _is_answer(can_id, lengths, code))
 
 
 def _read(joint: int, config: JointConfig, code: int, what: str) -> Part[int]:
     """The byte in the answer to a request of one byte; raises DialogueFailed."""
     answer = yield from answered(joint, config, _ask(_can_id(config), 3, code), what)
-    return int(answer.data[1])
+    return unpacked(answer.data, protocol.VALUE)
 
 
 def _position(joint: int, config: JointConfig) -> Part[int]:
     """The motor's position (counts); raises DialogueFailed."""
-    answer = yield from answered(joint, config, _ask(_can_id(config), 8, READ_POSITION), "position")
-    return int.from_bytes(answer.data[1:7], "big", signed=True)
+    answer = yield from answered(joint, config, _ask(_can_id(config), 8, protocol.READ_POSITION), "position")
+    return unpacked(answer.data, protocol.COUNTS)
 
 
 def _target(joint: int, config: JointConfig) -> Part[int]:
     """The drive's target (counts): its position plus the error that it reports; raises DialogueFailed."""
-    answer = yield from answered(joint, config, _ask(_can_id(config), 6, READ_ERROR), "angle error")
-    error = int.from_bytes(answer.data[1:5], "big", signed=True)
+    answer = yield from answered(joint, config, _ask(_can_id(config), 6, protocol.READ_ERROR), "angle error")
+    error = unpacked(answer.data, protocol.ERROR_STEPS)
     measured = yield from _position(joint, config)
-    return measured + round(error * COUNTS_PER_REVOLUTION / ERROR_STEPS_PER_REVOLUTION)
+    return measured + round(error * COUNTS_PER_REVOLUTION / protocol.ERROR_STEPS_PER_REVOLUTION)

@@ -43,11 +43,6 @@ def whole(data: int, number: Number) -> int:
     return value
 
 
-def quantity(data: int, number: Number) -> float:
-    """The number in a frame's data, in its unit."""
-    return whole(data, number) * number.step
-
-
 def placed(number: Number, value: int) -> int:
     """Data in which the number is a value, and all other bytes 0; of a value that is too large, the lowest bytes."""
     data = 0

@@ -79,7 +79,14 @@ def placed_single(where: numbers.Single, value: float) -> int:
 
 
 whole = jit(numbers.whole)
-quantity = jit(numbers.quantity)
 placed = jit(numbers.placed)
+
+
+@jit
+def quantity(data: int, number: numbers.Number) -> float:
+    """The number in a frame's data, in its unit."""
+    return float(whole(data, number) * number.step)
+
+
 field = jit(fields.field)
 of_field = jit(fields.of_field)

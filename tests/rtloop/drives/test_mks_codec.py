@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from config.drives.mks import FARTHEST_COUNTS
-from rtloop.drives import mks
+from rtloop.drives import mks, mks_protocol, words
 
 relaxed = settings(deadline=None)
 can_ids = st.integers(1, 2047)
@@ -28,7 +28,7 @@ def test_targets_are_read_back_or_bounded(can_id, rpm, acc, counts):
 @given(can_ids, st.integers(-(2**47), 2**47 - 1), st.integers(0, 63))
 def test_positions_are_read_back_and_no_garbled_bit_is_believed(can_id, counts, bit):
     data = summed(b"\x31" + counts.to_bytes(6, "big", signed=True), can_id)
-    assert mks.counts_of(word(data)) == counts and mks.is_sound(can_id, word(data), 8)
+    assert words.whole(word(data), mks_protocol.COUNTS) == counts and mks.is_sound(can_id, word(data), 8)
     assert not mks.is_sound(can_id, word(data) ^ word((1 << bit).to_bytes(8, "little")), 8)
 
 

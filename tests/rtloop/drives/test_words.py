@@ -2,19 +2,21 @@
 
 import math
 import struct
+from typing import Literal
 
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rtloop.drives import fields, words
+from rtloop.drives import fields, numbers, words
+from rtloop.drives.numbers import Number, Single
 
 relaxed = settings(deadline=None)
-numbers = st.floats(allow_nan=False, allow_infinity=False, width=32)
+finite_singles = st.floats(allow_nan=False, allow_infinity=False, width=32)
 
 
 @relaxed
-@given(numbers, numbers)
+@given(finite_singles, finite_singles)
 def test_floats_come_back_as_struct_packs_them(first: float, second: float) -> None:
     data = int.from_bytes(struct.pack("<ff", first, second), "little", signed=True)
     assert (words.float_at(data, 0), words.float_at(data, 4)) == (first, second)
@@ -36,6 +38,53 @@ def test_whole_numbers_are_read_as_int_from_bytes_does(number: int, at: int, siz
         assert function(number, at, size) == expected
     swapped = int.from_bytes(data[:size], "big")
     assert words.swapped(number, size) == swapped
+
+
+@st.composite
+def places(draw: st.DrawFn) -> Number:
+    """A number anywhere in eight bytes."""
+    at = draw(st.integers(0, 7))
+    size = draw(st.integers(1, min(8 - at, 6)))
+    return Number(at, size, draw(st.booleans()), draw(st.booleans()), draw(st.sampled_from([1.0, 0.1, 100.0])))
+
+
+@relaxed
+@given(places(), st.binary(min_size=8, max_size=8))
+@example(Number(1, 6, signed=True, big_endian=True), b"\xff" * 8)
+def test_a_number_of_a_table_is_read_as_int_from_bytes_does(number: Number, data: bytes) -> None:
+    order: Literal["big", "little"] = "big" if number.big_endian else "little"
+    expected = int.from_bytes(data[number.at : number.at + number.size], order, signed=number.signed)
+    word = int.from_bytes(data, "little", signed=True)
+    assert words.whole(word, number) == numbers.unpacked(data, number) == expected
+    assert words.quantity(word, number) == expected * number.step
+
+
+@relaxed
+@given(places(), st.integers(-(2**62), 2**62))
+def test_a_number_that_is_placed_is_read_again_and_stands_alone(number: Number, value: int) -> None:
+    """Of one that is too large the cycle sends the lowest bytes; a dialogue does not send it."""
+    bits = 8 * number.size
+    kept = value % (1 << bits)
+    kept -= (1 << bits) if number.signed and kept >> (bits - 1) else 0
+    word = words.placed(number, value)
+    assert words.whole(word, number) == kept
+    data = int(word).to_bytes(8, "little", signed=True)
+    assert not any(data[: number.at] + data[number.at + number.size :])
+    if kept == value:
+        assert numbers.packed({number: value}) == data
+    else:
+        with pytest.raises(OverflowError):
+            numbers.packed({number: value})
+
+
+@relaxed
+@given(st.integers(0, 4), finite_singles)
+def test_a_single_of_a_table_is_read_and_placed_as_struct_does(at: int, value: float) -> None:
+    single, data = Single(at), struct.pack("<f", value).rjust(at + 4, b"\0").ljust(8, b"\0")
+    word = int.from_bytes(data, "little", signed=True)
+    assert words.single(word, single) == numbers.unpacked_single(data, single) == value
+    assert words.placed_single(single, value) == word
+    assert numbers.packed({single: value}) == data
 
 
 @relaxed
