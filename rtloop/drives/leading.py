@@ -1,9 +1,10 @@
 """Commands to a drive that plans its own ramp to the target it received last: a target ahead, and a speed limit.
 
 A target at the setpoint would make the drive accelerate and stop in every cycle. So the target lies ahead of the
-setpoint by one period of motion plus the braking distance of the drive's ramp. The speed alone then sets the pace: the
-planned mean velocity of the coming period plus a small share of the measured error. The ramp is 1.5 to 2 times the
-joint's acceleration limit, so a drive that receives nothing more brakes by itself, bounded, towards its last target.
+setpoint by the motion of one period and of the frame's delay, plus the braking distance of the drive's ramp. The speed
+alone then sets the pace: the planned mean velocity of the coming period plus a small share of the measured error. The
+ramp is 1.5 to 2 times the joint's acceleration limit, so a drive that receives nothing more brakes by itself, bounded,
+towards its last target.
 """
 
 import math

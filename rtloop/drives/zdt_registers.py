@@ -157,10 +157,10 @@ def write_watchdog(timeout_ms: int, *, store: bool) -> bytes:
 
 
 def move_to(pulses: int, rpm: int, ramp: int) -> bytes:
-    """`FD`, absolute and at once: a position in command pulses, speed (rpm), ramp byte (1 to 255, 1 the gentlest)."""
+    """The command `go_to` for a motor that turns alone: ramp byte 1 to 255 (1 the gentlest); raises ValueError."""
     if not 1 <= rpm <= HIGHEST_RPM or not 1 <= ramp <= 255 or abs(pulses) >= 1 << 32:
         raise ValueError(f"no drive is sent to {pulses} pulses at {rpm} rpm with ramp {ramp}")
-    return struct.pack(">BBHBIBBB", 0xFD, pulses < 0, rpm, ramp, abs(pulses), 1, 0, CHECKSUM)
+    return go_to(pulses, rpm=rpm, acc=ramp)
 
 
 def fast_setup(rpm: int, acc_byte: int) -> bytes:
