@@ -72,12 +72,22 @@ def scan(
             "--port", metavar="PATH", help="Serial port (/dev/ttyUSB0) or CAN interface (can0) to look at; repeatable."
         ),
     ] = None,
+    family: Annotated[
+        str | None,
+        typer.Option(
+            "--family",
+            metavar="NAME",
+            help="Ask drives of this family alone (mks, damiao, cia402 …); only where the bus has no others.",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Find CAN adapters, the bit rate of the bus behind each, and the drives on it; propose an arm file.
 
-    Nothing moves: drives are only asked what they are. Adapters that another program uses are left alone, and so are
-    serial ports that may be anything, unless --port names them. The exit code is 0 when a drive answers.
+    Nothing moves: ZDT, RobStride and MyActuator drives are asked what they are, ODrives and CANopen drives are
+    overheard. What MKS, Damiao and silent CANopen drives are asked might mean something else to others, so they are
+    asked with --family only. Adapters that another program uses are left alone, and so are serial ports that may be
+    anything, unless --port names them. The exit code is 0 when a drive answers.
 
     Example: [bold]rtarm scan --port /dev/ttyUSB0[/bold]
     """
@@ -86,7 +96,7 @@ def scan(
         from rtarm.scan.run import scan as look
         from rtarm.scan.show import render
 
-        report = look(Machine(), port or [], telling=lambda line: typer.echo(line, err=True))
+        report = look(Machine(), port or [], family=family, telling=lambda line: typer.echo(line, err=True))
         if as_json:
             draw_json(report)
         else:

@@ -10,8 +10,8 @@ at all, is set in it. Where their identifiers meet, their lengths tell them apar
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
+from rtarm.scan.heard import Heard, by_number
 from rtarm.scan.wires import Frame
 
 ODRIVE_HEARTBEAT, ODRIVE_COMMANDS = 0x01, 0x20
@@ -22,30 +22,19 @@ CANOPEN_HEARTBEAT, CANOPEN_NODES = 0x700, range(1, 128)
 CANOPEN_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 
 
-@dataclass(frozen=True)
-class Overheard:
-    """A drive that has spoken by itself."""
-
-    family: str
-    called: str
-    number: int
-    state: str
-
-
-def drive_of(frame: Frame) -> Overheard | None:
+def drive_of(frame: Frame) -> Heard | None:
     """Whose heartbeat a standard frame looks like; None for any other frame."""
     node, command = divmod(frame.id, ODRIVE_COMMANDS)
     if command == ODRIVE_HEARTBEAT and len(frame.data) == 8 and frame.data[4] in ODRIVE_STATES:
         error, state = int.from_bytes(frame.data[:4], "little"), frame.data[4]
         words = f"error {error:#x}" if error else ODRIVE_USUAL.get(state, f"axis state {state}")
-        return Overheard("odrive", "ODrive axis", node, words)
+        return Heard("odrive", "ODrive axis", node, words, {"node_id": node})
     node = frame.id - CANOPEN_HEARTBEAT
     if node in CANOPEN_NODES and len(frame.data) == 1 and frame.data[0] in CANOPEN_STATES:
-        return Overheard("cia402", "CANopen node", node, CANOPEN_STATES[frame.data[0]])
+        return Heard("cia402", "CANopen node", node, CANOPEN_STATES[frame.data[0]], {"node_id": node})
     return None
 
 
-def overheard(frames: Iterable[Frame]) -> list[Overheard]:
+def overheard(frames: Iterable[Frame]) -> list[Heard]:
     """Who has spoken, each as last heard, by family and number."""
-    found = {(drive.family, drive.number): drive for frame in frames if (drive := drive_of(frame)) is not None}
-    return [found[key] for key in sorted(found)]
+    return by_number(map(drive_of, frames))

@@ -21,10 +21,13 @@ UNKNOWN = {
 UNHEARD_OF = {
     "odrive": "Whether an ODrive's encoder is absolute is not overheard: docs/hardware/drive-families.md says what to "
     "fill in.",
-    "cia402": "A CANopen node need not be a drive. counts_per_revolution is not overheard: "
-    "docs/hardware/drive-families.md.",
+    "cia402": "A CANopen node need not be a drive. counts_per_revolution is not told: docs/hardware/drive-families.md.",
+    "robstride": "Which RobStride it is, and in which mode it runs, is not told: docs/hardware/drive-families.md.",
+    "myactuator": "Whether a MyActuator motor's encoder is absolute is not told: docs/hardware/drive-families.md.",
+    "damiao": "Which Damiao motor it is, and in which mode it runs, is not asked: docs/hardware/drive-families.md.",
+    "mks": "An MKS drive forgets its angle without power: docs/hardware/drive-families.md.",
 }
-"""What a family's arm file needs beside what is overheard of a drive."""
+"""What a family's arm file needs beside what is heard of a drive."""
 
 
 def _zdt(drive: dict[str, Any]) -> str:
@@ -32,14 +35,14 @@ def _zdt(drive: dict[str, Any]) -> str:
     return f"family: zdt, address: {drive['address']}" + ("" if microsteps is None else f", microsteps: {microsteps}")
 
 
-def _overheard(drive: dict[str, Any]) -> str:
-    return f"family: {drive['family']}, node_id: {drive['number']}"
+def _heard(drive: dict[str, Any]) -> str:
+    return ", ".join(f"{name}: {value}" for name, value in {"family": drive["family"], **drive["settings"]}.items())
 
 
 def proposal(entry: dict[str, Any]) -> str:
     """YAML for the adapter and drives of one entry of the report."""
     outcome = entry["outcome"]
-    drives = outcome["drives"]
+    drives, heard = outcome["drives"], outcome["answered"] + outcome["overheard"]
     lines = [
         "# Proposed by `rtarm scan`. Gears, directions and limits are not written in drives: fill in what is empty,",
         "# then `rtarm config check` this file. Until then it is refused, and nothing moves.",
@@ -48,7 +51,7 @@ def proposal(entry: dict[str, Any]) -> str:
         lines += [
             "# If this is an Episode1 arm, copy config/arms/episode1.yaml instead, and take the section bus from here.",
         ]
-    lines += [f"# {sentence}" for sentence in sorted({UNHEARD_OF[one["family"]] for one in outcome["overheard"]})]
+    lines += [f"# {sentence}" for sentence in sorted({UNHEARD_OF[one["family"]] for one in heard})]
     lines += ["schema_version: 1", "name: my_arm", "control:", "  rate_hz: 100", "bus:"]
     lines += [f"  interface: {entry['interface']}", f"  channel: {entry['channel']}"]
     if outcome["bitrate"] is not None:
@@ -56,7 +59,7 @@ def proposal(entry: dict[str, Any]) -> str:
     if entry["serial_baud"] not in (None, "cdc"):
         lines.append(f"  serial_baud: {entry['serial_baud']}")
     lines.append("joints:")
-    for number, drive in enumerate([*map(_zdt, drives), *map(_overheard, outcome["overheard"])], 1):
+    for number, drive in enumerate([*map(_zdt, drives), *map(_heard, heard)], 1):
         lines += [f"  - name: joint{number}", f"    drive: {{{drive}}}"]
         lines += [
             f"    {name}:{f'   # {meaning}' if number == 1 and meaning else ''}" for name, meaning in UNKNOWN.items()

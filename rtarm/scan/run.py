@@ -14,6 +14,7 @@ from rtarm.doctor.machine import Machine, Unknown
 from rtarm.scan import adapters as detection
 from rtarm.scan.adapters import Adapter
 from rtarm.scan.proposal import proposal
+from rtarm.scan.questions import BY_NAME
 from rtarm.scan.search import Outcome, search_link, search_slcan
 from rtarm.scan.wires import CanWire, SlcanWire, TtyPort
 from rtloop.wire.claim import claim_for_scan
@@ -23,6 +24,8 @@ from rtloop.wire.tty import close_slcan, open_port
 UART_BAUDS: tuple[int, ...] = (1_000_000, 115_200, 2_000_000, 921_600, 500_000, 460_800, 230_400)
 """Speeds at which a true UART is tried."""
 
+FAMILIES_ASKED = ("zdt", *BY_NAME)
+
 Report = dict[str, Any]
 
 
@@ -30,6 +33,7 @@ def scan(
     machine: Machine,
     ports: Sequence[str],
     *,
+    family: str | None = None,
     telling: Callable[[str], None] = lambda _: None,
     detect: detection.Detection = detection.seen_by_python_can,
 ) -> Report:
@@ -37,11 +41,17 @@ def scan(
 
     Args:
         ports: serial ports or CAN interfaces a person names; only these are looked at then.
+        family: whose drives alone are asked; None for all who can be asked without harm to others.
         telling: gets a line before something that takes a while.
 
     Raises:
-        Refusal: a named port is not there.
+        Refusal: a named port is not there, or a family is none that can be asked.
     """
+    if family is not None and family not in FAMILIES_ASKED:
+        raise Refusal(
+            f"Drives of family {legible(family, 20)} are not asked: name {', '.join(FAMILIES_ASKED[:-1])} or "
+            f"{FAMILIES_ASKED[-1]}, or leave --family out, which overhears ODrives too."
+        )
     notes: list[str] = []
     if ports:
         found = [_named(machine, port) for port in ports]
@@ -52,10 +62,10 @@ def scan(
         notes += [why_not] if why_not else []
     entries = []
     for adapter in found:
-        entry: Report = {**asdict(adapter), "outcome": None, "serial_baud": None}
+        entry: Report = {**asdict(adapter), "outcome": None, "serial_baud": None, "family": family}
         if adapter.not_tried is None:
             telling(f"looking for drives at {adapter.channel}; it takes up to a minute")
-            _try(adapter, entry)
+            _try(adapter, entry, family)
         entries.append(entry)
     report: Report = {"adapters": entries, "notes": notes, "found": False, "proposal": None}
     best = max((e for e in entries if e["outcome"] is not None), key=_drive_count, default=None)
@@ -66,7 +76,7 @@ def scan(
 
 def _drive_count(entry: Report) -> int:
     outcome = entry["outcome"]
-    return len(outcome["drives"]) + len(outcome["overheard"]) if outcome else 0
+    return sum(len(outcome[kind]) for kind in ("drives", "answered", "overheard")) if outcome else 0
 
 
 def _named(machine: Machine, port: str) -> Adapter:
@@ -95,13 +105,13 @@ def _named(machine: Machine, port: str) -> Adapter:
         raise Refusal(f"{port} cannot be looked at: {problem}.") from None
 
 
-def _try(adapter: Adapter, entry: Report) -> None:
+def _try(adapter: Adapter, entry: Report, family: str | None) -> None:
     """Look for drives; what cannot be opened is not tried, with the reason."""
     try:
         if adapter.interface == "slcan":
-            outcome, entry["serial_baud"] = _try_serial(adapter)
+            outcome, entry["serial_baud"] = _try_serial(adapter, family)
         else:
-            outcome = _try_link(adapter)
+            outcome = _try_link(adapter, family)
     except WireRefused as refused:
         entry["not_tried"] = str(refused)
     except OSError as problem:
@@ -113,12 +123,12 @@ def _try(adapter: Adapter, entry: Report) -> None:
         entry["outcome"] = asdict(outcome)
 
 
-def _try_link(adapter: Adapter) -> Outcome:
+def _try_link(adapter: Adapter, family: str | None) -> Outcome:
     with closing(claim_for_scan(adapter.channel)), closing(CanWire(adapter.channel)) as wire:
-        return search_link(wire, adapter.bitrate)
+        return search_link(wire, adapter.bitrate, family)
 
 
-def _try_serial(adapter: Adapter) -> tuple[Outcome, int | str]:
+def _try_serial(adapter: Adapter, family: str | None) -> tuple[Outcome, int | str]:
     """The outcome, and the speed of the serial line at which the adapter has spoken."""
     bauds: tuple[int | str, ...] = UART_BAUDS if adapter.is_uart else ("cdc",)
     for baud in bauds:
@@ -126,7 +136,7 @@ def _try_serial(adapter: Adapter) -> tuple[Outcome, int | str]:
         try:
             wire = SlcanWire(TtyPort(fd))
             if wire.greet() or not adapter.is_uart:
-                outcome = search_slcan(wire)
+                outcome = search_slcan(wire, family)
                 if not wire.answers:
                     outcome.notes.append(
                         "The adapter answers no command, as the original canable firmware does, and as something does "

@@ -1,8 +1,7 @@
 """Looking for drives on a bus: listening first, then asking, bit rate by bit rate, and no longer than is said.
 
-ZDT drives are asked; drives that speak by themselves are overheard (`rtarm.scan.overheard`), and nobody is asked then.
-The questions move nothing of any family: their identifiers are extended and below 1 << 16, where all others that are
-known here use standard ones, but for RobStride motors, to which they ask motor 0 who it is.
+ZDT drives are asked, and so is everybody else who can be asked without harm to others (`rtarm.scan.questions`); drives
+that speak by themselves are overheard (`rtarm.scan.overheard`), and nobody is asked then.
 """
 
 from __future__ import annotations
@@ -10,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from rtarm.scan.overheard import Overheard, drive_of, overheard
+from rtarm.scan.heard import Heard, by_number
+from rtarm.scan.overheard import drive_of, overheard
+from rtarm.scan.questions import BY_NAME, EVERYBODY, Question
 from rtarm.scan.wires import Frame, SlcanWire, Wire
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, split_packets
@@ -63,14 +64,15 @@ class Outcome:
 
     bitrate: int | None = None
     drives: list[FoundDrive] = field(default_factory=list)
-    overheard: list[Overheard] = field(default_factory=list)
+    answered: list[Heard] = field(default_factory=list)
+    overheard: list[Heard] = field(default_factory=list)
     listened: list[int] = field(default_factory=list)
     asked: list[int] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
 
-def search_slcan(wire: SlcanWire) -> Outcome:
-    """Find the bit rate of the bus behind a serial adapter, and its drives."""
+def search_slcan(wire: SlcanWire, family: str | None = None) -> Outcome:
+    """Find the bit rate of the bus behind a serial adapter, and its drives; `family`: whose drives alone are asked."""
     outcome = Outcome()
     ends_s = wire.now_s() + LONGEST_S
     for bitrate in BITRATES:
@@ -95,25 +97,24 @@ def search_slcan(wire: SlcanWire) -> Outcome:
         if not outcome.listened and UNHEARD not in outcome.notes:
             outcome.notes.append(UNHEARD)
         try:
-            outcome.drives = ask_everybody(wire, bitrate, ends_s)
+            ask(wire, outcome, bitrate, ends_s, family)
         finally:
             wire.close()
-        if outcome.drives:
-            outcome.bitrate = bitrate
+        if outcome.bitrate:
             return outcome
     outcome.notes.append(NEVER_TRIED)
     return outcome
 
 
-def search_link(wire: Wire, bitrate: int | None) -> Outcome:
+def search_link(wire: Wire, bitrate: int | None, family: str | None = None) -> Outcome:
     """Look for drives on a CAN interface, at the one bit rate the system has given it (bit/s; None for none)."""
     outcome = Outcome(listened=[bitrate] if bitrate else [])
     frames = _listen(wire, OVERHEARD_S)
     if _others_speak(wire, frames):
         return in_use(outcome, bitrate, wire, frames)
     outcome.asked = outcome.listened
-    outcome.drives = ask_everybody(wire, bitrate or BITRATES[0], wire.now_s() + LONGEST_S)
-    outcome.bitrate = bitrate if outcome.drives else None
+    ask(wire, outcome, bitrate or BITRATES[0], wire.now_s() + LONGEST_S, family)
+    outcome.bitrate = bitrate if outcome.bitrate else None
     return outcome
 
 
@@ -155,7 +156,31 @@ def in_use(outcome: Outcome, bitrate: int | None, wire: Wire, frames: list[Frame
     return outcome
 
 
-def ask_everybody(wire: Wire, bitrate: int, ends_s: float) -> list[FoundDrive]:
+def ask(wire: Wire, outcome: Outcome, bitrate: int, ends_s: float, family: str | None) -> None:
+    """Ask who can be asked, or one family alone; where somebody answers, the outcome has its bit rate."""
+    if family in (None, "zdt"):
+        outcome.drives = ask_zdt(wire, bitrate, ends_s)
+    others = EVERYBODY if family is None else [BY_NAME[family]] if family in BY_NAME else []
+    for question in others:
+        if bitrate in question.bitrates and wire.now_s() < ends_s and not (wire.troubled() and not outcome.drives):
+            outcome.answered += ask_family(wire, question, bitrate)
+    if outcome.drives or outcome.answered:
+        outcome.bitrate = bitrate
+
+
+def ask_family(wire: Wire, question: Question, bitrate: int) -> list[Heard]:
+    """Ask each number of a family who is there."""
+    pace_s = ROUND_BITS / bitrate + 0.001
+    wire.standard.clear()
+    heard: list[Frame] = []
+    for frame in question.frames:
+        wire.send(frame)
+        heard += wire.receive(pace_s)
+    heard += wire.receive(REPLY_S + pace_s)
+    return by_number(map(question.drive_of, (*heard, *wire.standard)))
+
+
+def ask_zdt(wire: Wire, bitrate: int, ends_s: float) -> list[FoundDrive]:
     """Ask every address for its firmware, then every drive that answered for its settings."""
     pace_s = ROUND_BITS / bitrate + 0.001
     heard = _ask_for_firmware(wire, FIRST_ADDRESSES, pace_s)
@@ -240,7 +265,7 @@ def _ask(
         for frame in split_packets(address, question):
             wire.send(Frame(frame.id, frame.data))
         parts: dict[int, bytes] = {}
-        for frame_id, data in wire.receive(REPLY_S + packets * pace_s):
+        for frame_id, data, _ in wire.receive(REPLY_S + packets * pace_s):
             answers = data[:1] == question[:1] and data != question
             if frame_id >> 8 == address and frame_id & 0xFF < packets and answers:
                 parts[frame_id & 0xFF] = data[1:]

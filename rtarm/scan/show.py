@@ -37,16 +37,21 @@ def _adapter(entry: Report) -> list[RenderableType]:
     if outcome["drives"]:
         parts.append(_table(outcome["drives"]))
         parts += [Text(f"  - {note}") for drive in outcome["drives"] for note in drive["notes"]]
-    if outcome["overheard"]:
-        parts.append(_overheard_table(outcome["overheard"]))
+    for kind in ("answered", "overheard"):
+        if outcome[kind]:
+            parts.append(_heard_table(kind, outcome[kind]))
     return parts
+
+
+def _asked(family: str | None) -> str:
+    return f"drive of family {family}" if family else "ZDT, RobStride or MyActuator drive"
 
 
 def _verdict(entry: Report, outcome: Report) -> str:
     baud = f", serial line at {entry['serial_baud']} baud" if entry["serial_baud"] not in (None, "cdc") else ""
     rates = ", ".join(map(str, outcome["asked"]))
-    if outcome["drives"]:
-        count = len(outcome["drives"])
+    if outcome["drives"] or outcome["answered"]:
+        count = len(outcome["drives"]) + len(outcome["answered"])
         rate = f" at {outcome['bitrate']} bit/s" if outcome["bitrate"] else ""
         return f"{count} drive{'' if count == 1 else 's'} answer{'s' if count == 1 else ''}{rate}{baud}"
     if outcome["overheard"]:
@@ -57,10 +62,10 @@ def _verdict(entry: Report, outcome: Report) -> str:
     if not outcome["asked"]:
         return "in use" if outcome["notes"] else "nobody was asked"
     return (
-        f"no ZDT drive answers (asked at {rates} bit/s{baud}), and no heartbeat of an ODrive or a CANopen drive was "
-        "heard: check the drives' power, the two CAN wires, 120 Ω at both ends, and that the port in a ZDT drive's "
-        "menu is set to CAN; drives of other families are not asked, name them in an arm file "
-        "(docs/hardware/drive-families.md)"
+        f"no {_asked(entry['family'])} answers (asked at {rates} bit/s{baud}), and no heartbeat of an ODrive or a "
+        "CANopen drive was heard: check the drives' power, the two CAN wires, 120 Ω at both ends, and that the port in "
+        "a ZDT drive's menu is set to CAN; MKS, Damiao and silent CANopen drives are asked with --family only "
+        "(docs/hardware/drives.md)"
     )
 
 
@@ -75,9 +80,9 @@ def _table(drives: list[Report]) -> Table:
     return table
 
 
-def _overheard_table(drives: list[Report]) -> Table:
-    table = Table("overheard", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("node", justify="right")
+def _heard_table(how: str, drives: list[Report]) -> Table:
+    table = Table(how, box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("number", justify="right")
     table.add_column("state")
     for drive in drives:
         table.add_row(escape(drive["called"]), str(drive["number"]), escape(drive["state"]))

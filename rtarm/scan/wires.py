@@ -34,10 +34,12 @@ _READ_BYTES = 4096
 
 
 class Frame(NamedTuple):
-    """A data frame; which kind its identifier is, is said where it is used."""
+    """A data frame."""
 
     id: int
     data: bytes
+    extended: bool = True
+    """Whether its identifier has 29 bits."""
 
 
 class Wire(Protocol):
@@ -136,7 +138,8 @@ class SlcanWire:
         self._rest = b""
 
     def send(self, frame: Frame) -> None:
-        self._port.write(b"T%08X%d%s\r" % (frame.id, len(frame.data), frame.data.hex().upper().encode()))
+        head = b"T%08X%d" if frame.extended else b"t%03X%d"
+        self._port.write(head % (frame.id, len(frame.data)) + frame.data.hex().upper().encode() + CR)
 
     def receive(self, patience_s: float) -> list[Frame]:
         frames = []
@@ -186,7 +189,7 @@ def _frame_in(line: bytes, letter: bytes, digits: int, highest: int) -> Frame | 
         return None
     if length > 8 or len(data) != length or not 0 <= frame_id <= highest:
         return None
-    return Frame(frame_id, data)
+    return Frame(frame_id, data, letter == b"T")
 
 
 class CanWire:
@@ -209,7 +212,9 @@ class CanWire:
     def send(self, frame: Frame) -> None:
         try:
             self._socket.send(
-                _CAN_FRAME.pack(frame.id | EXTENDED_FLAG, len(frame.data), frame.data.ljust(8, b"\0")),
+                _CAN_FRAME.pack(
+                    frame.id | (EXTENDED_FLAG if frame.extended else 0), len(frame.data), frame.data.ljust(8, b"\0")
+                ),
                 socket.MSG_DONTWAIT,
             )
         except OSError as problem:
@@ -228,7 +233,7 @@ class CanWire:
                 elif not frame_id & ERROR_FLAG:
                     self.foreign += 1
                     if frame_id <= STANDARD_MASK:  # no flag is set: neither extended nor remote
-                        self.standard.append(Frame(frame_id, data[:length]))
+                        self.standard.append(Frame(frame_id, data[:length], extended=False))
         return frames
 
     def troubled(self) -> bool:

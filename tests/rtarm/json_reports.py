@@ -26,7 +26,7 @@ from rtarm.doctor.checks import Check
 from rtarm.doctor.finding import ok
 from rtarm.doctor.repair import Change, Repairs
 from rtarm.scan.adapters import Adapter
-from rtarm.scan.overheard import Overheard
+from rtarm.scan.heard import Heard
 from rtarm.scan.search import FoundDrive
 from rtarm.scan.search import Outcome as Searched
 from rtarm.teach.file import motion_path, require_free, save
@@ -150,12 +150,14 @@ def of_drives() -> Reports:
 
 
 def of_scan() -> Reports:
-    """Of an adapter behind which a drive has answered and another was overheard; and of none."""
-    outcome = Searched(500_000, [FoundDrive(1)], [Overheard("odrive", "ODrive", 2, "idle")])
+    """Of an adapter behind which drives have answered and another was overheard; and of none."""
+    asked = Heard("damiao", "Damiao motor", 1, "answers on 0x11", {"motor_id": 1, "master_id": 0x11})
+    spoke = Heard("odrive", "ODrive axis", 2, "idle", {"node_id": 2})
+    outcome = Searched(500_000, [FoundDrive(1)], [asked], [spoke])
     adapter = Adapter("/dev/nowhere", "slcan", "an adapter")
     with (
         patch("rtarm.scan.run._named", lambda *_: adapter),
-        patch("rtarm.scan.run._try_serial", lambda _: (outcome, 1_000_000)),
+        patch("rtarm.scan.run._try_serial", lambda *_: (outcome, 1_000_000)),
     ):
         found = printed("scan", "--port", "/dev/nowhere")
     return [found, printed("scan", "--port", "/dev/none/of/this/name")]

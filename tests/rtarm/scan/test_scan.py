@@ -28,6 +28,7 @@ from rtarm.doctor.machine import Machine
 from rtarm.scan import adapters, search
 from rtarm.scan.overheard import drive_of
 from rtarm.scan.proposal import proposal
+from rtarm.scan.questions import EVERYBODY, NAMED, Question
 from rtarm.scan.run import scan
 from rtarm.scan.search import BITRATES, LONGEST_S, Outcome, search_link, search_slcan
 from rtarm.scan.show import render
@@ -65,8 +66,9 @@ class VirtualPort:
 
     @property
     def functions(self) -> set[int]:
-        """Function bytes of every frame that was written."""
-        return {int(line[10:12], 16) for line in self.written.split(b"\r") if line[:1] == b"T"}
+        """Function bytes of every frame to ZDT drives that was written."""
+        lines = self.written.split(b"\r")
+        return {int(line[10:12], 16) for line in lines if line[:1] == b"T" and line[1:7] != b"0000FD"}  # to RobStrides
 
 
 def bus(found: list[Any] | None = None, bitrate: int = 500_000, **options: Any) -> VirtualPort:
@@ -128,7 +130,7 @@ def test_frames_of_a_can_interface() -> None:
         wire.foreign, wire.standard = 0, deque()
         assert wire.receive(0.05) == [Frame(0x100, bytes.fromhex("1F00C8006F6B"))]
         assert wire.foreign == 3
-        assert list(wire.standard) == [Frame(0x100, b"\x1f\x6b"), Frame(0x701, b"\x05")]
+        assert list(wire.standard) == [Frame(0x100, b"\x1f\x6b", False), Frame(0x701, b"\x05", False)]
 
 
 # --- searching ------------------------------------------------------------------------------------------
@@ -305,16 +307,102 @@ def test_drives_that_speak_by_themselves_are_overheard_and_nobody_is_asked(arm: 
     assert port.functions == set() and b"t" not in port.written.lower().replace(b"\r", b"")
     entry = {"outcome": asdict(outcome), "serial_baud": "cdc", "interface": "slcan", "channel": "/dev/ttyACM0"}
     shown = io.StringIO()
-    Console(file=shown, width=100).print(
-        render(
-            {"adapters": [{**entry, "what": "adapter", "usb": None, "not_tried": None}], "notes": [], "proposal": None}
-        )
-    )
+    seen = {**entry, "what": "adapter", "usb": None, "not_tried": None, "family": None}
+    Console(file=shown, width=100).print(render({"adapters": [seen], "notes": [], "proposal": None}))
     assert "6 drives speak by themselves at 1000000 bit/s" in shown.getvalue() and called in shown.getvalue()
     proposed = yaml.safe_load(proposal(entry))
     assert [joint["drive"] for joint in proposed["joints"]] == [
         {"family": family, "node_id": number} for number in range(1, 7)
     ]
+
+
+def found_in(arm: str, family: str | None = None, **overrides: Any) -> tuple[VirtualPort, Outcome]:
+    """What a scan finds of an arm of another family."""
+    port = VirtualPort(SimulatedArm(load_arm(arm, overrides=overrides)))
+    wire = SlcanWire(port)
+    wire.greet()
+    return port, search_slcan(wire, family)
+
+
+NAMED_ONLY = {"mks6": "mks", "damiao6": "damiao", "cia402_6": "cia402"}
+
+
+@pytest.mark.parametrize(("arm", "family"), [("robstride6", None), ("myactuator6", None), *NAMED_ONLY.items()])
+def test_drives_of_other_families_answer_and_their_arm_file_is_proposed(arm: str, family: str | None) -> None:
+    config = load_arm(arm)
+    _, outcome = found_in(arm, family)
+    assert outcome.bitrate == config.bus.bitrate and outcome.drives == []
+    drives = [joint.drive for joint in config.joints]
+    assert [(one.family, one.number) for one in outcome.answered] == [(drive.family, drive.number) for drive in drives]
+    entry = {"outcome": asdict(outcome), "serial_baud": "cdc", "interface": "slcan", "channel": "/dev/ttyACM0"}
+    for joint, drive in zip(yaml.safe_load(proposal(entry))["joints"], drives, strict=True):
+        given = joint["drive"]
+        assert given.pop("family") == drive.family and given
+        assert all(getattr(drive, name) == value for name, value in given.items())
+
+
+def state_of(drive: Any) -> str:
+    """All that a question could change of a simulated drive: settings, registers, whether it holds, where it stands."""
+    kept = ("settings", "registers", "parameters", "enabled", "state", "status", "counted", "position")
+    return repr([(name, getattr(drive, name)) for name in kept if hasattr(drive, name)])
+
+
+FAMILIES = ("episode1", "mks6", "damiao6", "odrive6", "cia402_6", "robstride6", "myactuator6")
+HEARD_BY = [(question, arm) for question in EVERYBODY for arm in FAMILIES]
+HEARD_BY += [(question, arm) for question in NAMED for arm, family in NAMED_ONLY.items() if family == question.family]
+
+
+@pytest.mark.parametrize(("question", "arm"), HEARD_BY, ids=lambda one: getattr(one, "family", one))
+def test_a_question_changes_nothing_of_any_drive(question: Question, arm: str) -> None:
+    """Drives that have just got power; those that are asked by name only hear their own family's question."""
+    config = load_arm(arm)
+    family = config.joints[0].drive.family
+    port = VirtualPort(SimulatedArm(config))
+    wire = SlcanWire(port)
+    assert wire.open(config.bus.bitrate, listen_only=False)
+    before = [state_of(drive) for drive in port.sim.drives]
+    heard = search.ask_family(wire, question, config.bus.bitrate)
+    assert [state_of(drive) for drive in port.sim.drives] == before
+    assert {drive.family for drive in heard} == ({family} if question.family == family else set())
+
+
+@pytest.mark.parametrize(
+    ("arm", "numbers"),
+    [
+        ("episode1", {"address": 253}),  # to which RobStride's question looks as if it were addressed
+        ("mks6", {"can_id": 0x280}),
+        ("odrive6", {"node_id": 20}),
+        ("odrive6", {"node_id": 0x3F}),
+        ("robstride6", {"motor_id": 0xFE}),
+        ("damiao6", {"motor_id": 15, "master_id": 0x280}),
+    ],
+)
+def test_no_number_makes_a_question_to_everybody_a_command(arm: str, numbers: dict[str, int]) -> None:
+    config = load_arm(arm)
+    first = config.joints[0]
+    drive = first.drive.model_copy(update=numbers)
+    joints = (first.model_copy(update={"drive": drive}), *config.joints[1:])
+    port = VirtualPort(SimulatedArm(config.model_copy(update={"joints": joints})))
+    wire = SlcanWire(port)
+    assert wire.open(config.bus.bitrate, listen_only=False)
+    before = state_of(port.sim.drives[0])
+    for question in EVERYBODY:
+        search.ask_family(wire, question, config.bus.bitrate)
+    search.ask_zdt(wire, config.bus.bitrate, port.now_s() + LONGEST_S)
+    assert state_of(port.sim.drives[0]) == before
+
+
+@pytest.mark.parametrize("arm", NAMED_ONLY)
+def test_who_must_be_named_is_not_asked_otherwise(arm: str) -> None:
+    port, outcome = found_in(arm)
+    assert not outcome.answered
+    asked = {frame for line in port.written.split(b"\r") if (frame := standard_frame_of(line)) is not None}
+    assert asked == {frame for question in EVERYBODY for frame in question.frames if not frame.extended}
+
+
+def test_a_family_that_is_not_asked_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(Refusal, match="Drives of family odrive are not asked: name zdt, robstride"):
+        scan(machine(tmp_path, {}), [], family="odrive")
 
 
 class OneHeartbeat(VirtualPort):
@@ -411,7 +499,7 @@ class VirtualCan:
 
 
 def _packed(frame: Frame) -> bytes:
-    head = (frame.id | 0x80000000).to_bytes(4, "little") + bytes((len(frame.data), 0, 0, 0))
+    head = (frame.id | (0x80000000 if frame.extended else 0)).to_bytes(4, "little") + bytes((len(frame.data), 0, 0, 0))
     return head + frame.data.ljust(8, b"\0")
 
 
@@ -420,7 +508,7 @@ def test_a_can_interface_is_asked_at_its_own_bit_rate_only(bitrate: int | None) 
     wire = VirtualCan()
     outcome = search_link(wire, bitrate)
     assert outcome.bitrate == bitrate and len(outcome.drives) == 6
-    assert {frame.data[0] for frame in wire.sent} <= READS
+    assert {frame.data[0] for frame in wire.sent if frame.extended and frame.id >> 8 != 0xFD} <= READS
 
 
 # --- finding adapters -----------------------------------------------------------------------------------

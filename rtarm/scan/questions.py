@@ -1,0 +1,150 @@
+"""What drives are asked that speak only when they are spoken to, and what every other family makes of those bytes.
+
+A scan does not know who listens. So what is asked of everybody must move nothing and change no setting of any drive
+that rtarm knows, whatever its number: `EVERYBODY`, beside the firmware question of ZDT drives (`rtarm.scan.search`).
+Some families have no such question; they are asked only where a person says that the bus has no others (`NAMED`).
+
+What the others make of a question to everybody (their protocols as in docs/hardware/drive-families.md):
+
+| question | MKS | Damiao | ODrive | CiA 402 | MyActuator | RobStride | ZDT |
+|---|---|---|---|---|---|---|---|
+| ZDT: address << 8 (extended), 1F 6B | - | - | - | - | - | motor 0 says its id | its firmware |
+| RobStride: type 0 from FD (extended) | - | - | - | - | - | its id | address 253: no function |
+| MyActuator: 9A on 280 | address 640: no checksum | - | node 20: Get_Version | - | its status | - | - |
+
+"-": not its kind of identifier, or none that it hears. A Damiao motor would hear 280 as the speed of motor 128, and its
+motors go up to 15.
+
+Why others are asked by name only: an MKS drive's question goes to identifiers at which a Damiao motor (whatever the
+length) hears a set-point, and an ODrive of node 0 its commands, of which 02 stops it and 06 changes its node. That of
+Damiao motors, 7FF, is command 1F of node 63, at which new ODrives (0.6) wait, and starts their bootloader. That of
+CANopen nodes (SDO, 600 + node) meets the commands of ODrives 48 to 51. Those ODrives would be overheard, but for one
+whose heartbeat is turned off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from config.drives.cia402 import SDO_REPLY, SDO_REQUEST
+from config.drives.damiao import HIGHEST_ID, REGISTERS_ID
+from config.drives.myactuator import ALL_MOTORS, REPLY
+from rtarm.scan.heard import Heard
+from rtarm.scan.wires import Frame
+from rtloop.drives.damiao_setup import READ
+from rtloop.drives.errors import error_words
+from rtloop.drives.mks_setup import READ_STATE
+from rtloop.drives.myactuator_setup import ERRORS, STATUS
+
+HOST, ANYBODY = 0xFD, 0xFE
+"""Of RobStride: who asks, as the maker's program does; for whom motors say their id."""
+MASTER_ID = 7
+"""Damiao's register of the identifier that a motor answers with."""
+DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0))
+"""SDO upload of object 1000: its low word is the device profile (CiA 301)."""
+UPLOADED, DRIVE_PROFILE = 0x43, 402
+MKS_STATES = ("it reports no state", "stands", "speeds up", "slows down", "moves", "homes", "calibrates")
+
+
+class Question(NamedTuple):
+    """What a family is asked, and how its answers are read.
+
+    Attributes:
+        family: as arm files name it.
+        bitrates: which its drives can be set to (bit/s); they are asked at no other.
+        frames: the question, to each number.
+        drive_of: the drive that an answer is of, None where a frame is none.
+    """
+
+    family: str
+    bitrates: frozenset[int]
+    frames: tuple[Frame, ...]
+    drive_of: Callable[[Frame], Heard | None]
+
+
+def _robstride(frame: Frame) -> Heard | None:
+    number = frame.id >> 8 & 0xFF
+    if not frame.extended or len(frame.data) != 8 or frame.id != number << 8 | ANYBODY:
+        return None
+    return Heard("robstride", "RobStride motor", number, f"unique number {frame.data.hex()}", {"motor_id": number})
+
+
+def _myactuator(frame: Frame) -> Heard | None:
+    number = frame.id - REPLY
+    if frame.extended or not 1 <= number <= 32 or len(frame.data) != 8 or frame.data[0] != STATUS:
+        return None
+    error = int.from_bytes(frame.data[6:], "little")
+    state = error_words(error, ERRORS) if error else "no error"
+    return Heard("myactuator", "MyActuator motor", number, state, {"motor_id": number})
+
+
+def _damiao(frame: Frame) -> Heard | None:
+    number, data = int.from_bytes(frame.data[:2], "little"), frame.data
+    if frame.extended or len(data) != 8 or not 1 <= number <= HIGHEST_ID or data[2:4] != bytes((READ, MASTER_ID)):
+        return None
+    master_id = int.from_bytes(data[4:], "little")
+    settings = {"motor_id": number, "master_id": master_id}
+    return Heard("damiao", "Damiao motor", number, f"answers on {master_id:#x}", settings)
+
+
+def _mks(frame: Frame) -> Heard | None:
+    data = frame.data
+    if frame.extended or len(data) != 3 or data[0] != READ_STATE or data[2] != (frame.id + sum(data[:2])) & 0xFF:
+        return None
+    state = MKS_STATES[data[1]] if data[1] < len(MKS_STATES) else f"state {data[1]}"
+    return Heard("mks", "MKS drive", frame.id, state, {"can_id": frame.id})
+
+
+def _cia402(frame: Frame) -> Heard | None:
+    node, data = frame.id - SDO_REPLY, frame.data
+    if frame.extended or not 1 <= node <= 127 or len(data) != 8 or data[:4] != bytes((UPLOADED, *DEVICE_TYPE[1:4])):
+        return None
+    profile = int.from_bytes(data[4:6], "little")
+    called = "CANopen drive" if profile == DRIVE_PROFILE else "CANopen node"
+    return Heard("cia402", called, node, f"profile {profile}", {"node_id": node})
+
+
+def _mks_question(can_id: int) -> Frame:
+    return Frame(can_id, bytes((READ_STATE, (can_id + READ_STATE) & 0xFF)), extended=False)
+
+
+EVERYBODY = (
+    Question(
+        "robstride",
+        frozenset((1_000_000, 500_000, 250_000, 125_000)),
+        tuple(Frame(HOST << 8 | number, bytes(8)) for number in range(1, 0xFF)),
+        _robstride,
+    ),
+    Question(
+        "myactuator",
+        frozenset((1_000_000, 500_000)),
+        (Frame(ALL_MOTORS, bytes((STATUS,)).ljust(8, b"\0"), extended=False),),
+        _myactuator,
+    ),
+)
+NAMED = (
+    Question(
+        "mks",
+        frozenset((500_000, 1_000_000, 250_000, 125_000)),
+        tuple(map(_mks_question, range(1, 0x800))),
+        _mks,
+    ),
+    Question(
+        "damiao",
+        frozenset((1_000_000, 500_000, 250_000, 125_000)),
+        tuple(
+            Frame(REGISTERS_ID, bytes((number, 0, READ, MASTER_ID)).ljust(8, b"\0"), extended=False)
+            for number in range(1, HIGHEST_ID + 1)
+        ),
+        _damiao,
+    ),
+    Question(
+        "cia402",
+        frozenset((1_000_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000)),
+        tuple(Frame(SDO_REQUEST + node, DEVICE_TYPE, extended=False) for node in range(1, 128)),
+        _cia402,
+    ),
+)
+BY_NAME = {question.family: question for question in (*EVERYBODY, *NAMED)}
+"""The question of each family that is asked one, but for ZDT drives, of which a scan asks more."""
