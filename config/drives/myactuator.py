@@ -15,6 +15,7 @@ REQUEST, REPLY = 0x140, 0x240
 """Identifiers of motor 0."""
 ALL_MOTORS, SET_ID, MOTION_MODE = 0x280, 0x300, 0x400
 """What motors hear beside that: all of them; whoever has its ID set; motion mode, from protocol V4 on."""
+HIGHEST_ID = 32
 STEPS_PER_REVOLUTION = 36_000
 """Angles are hundredths of a degree."""
 RAMP_RANGE_DPS_S = (100, 60_000)
@@ -27,7 +28,9 @@ class MyactuatorDrive(Drive):
     """One MyActuator RMD motor. A motor turn is a turn of its output shaft: its own gear is not counted."""
 
     family: Literal["myactuator"] = Field(description="Drive family.")
-    motor_id: int = Field(ge=1, le=32, description="ID of the motor (1 to 32), as set with the maker's program.")
+    motor_id: int = Field(
+        ge=1, le=HIGHEST_ID, description="ID of the motor (1 to 32), as set with the maker's program."
+    )
     encoder: Literal["incremental", "absolute"] = Field(
         default="incremental",
         description="absolute: its angle is right as soon as it has power, because a second encoder sees its output "

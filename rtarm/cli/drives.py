@@ -77,17 +77,17 @@ def scan(
         typer.Option(
             "--family",
             metavar="NAME",
-            help="Ask drives of this family alone (mks, damiao, cia402 …); only where the bus has no others.",
+            help="Ask drives of this family alone (myactuator, mks …); only where the bus has no others.",
         ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Find CAN adapters, the bit rate of the bus behind each, and the drives on it; propose an arm file.
 
-    Nothing moves: ZDT, RobStride and MyActuator drives are asked what they are, ODrives and CANopen drives are
-    overheard. What MKS, Damiao and silent CANopen drives are asked might mean something else to others, so they are
-    asked with --family only. Adapters that another program uses are left alone, and so are serial ports that may be
-    anything, unless --port names them. The exit code is 0 when a drive answers.
+    Nothing moves: ZDT and RobStride drives are asked what they are, ODrives and CANopen drives are overheard. What
+    MyActuator, MKS, Damiao and silent CANopen drives are asked might mean something else to others, so they are asked
+    with --family only. Adapters that another program uses are left alone, and so are serial ports that may be anything,
+    unless --port names them. The exit code is 0 when a drive answers.
 
     Example: [bold]rtarm scan --port /dev/ttyUSB0[/bold]
     """

@@ -6,20 +6,31 @@ Some families have no such question; they are asked only where a person says tha
 
 What the others make of a question to everybody (their protocols as in docs/hardware/drive-families.md):
 
-| question | MKS | Damiao | ODrive | CiA 402 | MyActuator | RobStride | ZDT |
-|---|---|---|---|---|---|---|---|
-| ZDT: address << 8 (extended), 1F 6B | - | - | - | - | - | motor 0 says its id | its firmware |
-| RobStride: type 0 from FD (extended) | - | - | - | - | - | its id | address 253: no function |
-| MyActuator: 9A on 280 | address 640: no checksum | - | node 20: Get_Version | - | its status | - | - |
+| question | MKS, Damiao, MyActuator, CiA 402 | ODrive | RobStride | ZDT |
+|---|---|---|---|---|
+| ZDT: address << 8 (extended), 1F 6B | - | - | motor 0 says its id | its firmware |
+| RobStride: type 0 from FD (extended) | - | - | its id | address 253: no function |
 
-"-": not its kind of identifier, or none that it hears. A Damiao motor would hear 280 as the speed of motor 128, and its
-motors go up to 15.
+"-": not its kind of identifier. A DM4310 takes no extended frame (umeow0716/damiao_firmware, the filters in
+board_mcan_config.c), nor does ODrive 0.5.6 (odriverobotics/ODrive, odrive_can.cpp) unless `is_extended` is set, which
+rtarm does not lead: then an axis of number 2024 to 2031 (its number << 5 is FD00 to FDE0) would hear RobStride's
+question as commands, were its heartbeats not heard before. A moteus reads nothing but writes of no register from it
+(mjbots/mjlib, micro_server.cc). What a RobStride motor is asked, and says, is as in the maker's SampleProgram
+(Robstride01.cpp) and the CyberGear's manual (belovictor/cybergear-docs, 4.1.1).
 
-Why others are asked by name only: an MKS drive's question goes to identifiers at which a Damiao motor (whatever the
-length) hears a set-point, and an ODrive of node 0 its commands, of which 02 stops it and 06 changes its node. That of
-Damiao motors, 7FF, is command 1F of node 63, at which new ODrives (0.6) wait, and starts their bootloader. That of
-CANopen nodes (SDO, 600 + node) meets the commands of ODrives 48 to 51. Those ODrives would be overheard, but for one
-whose heartbeat is turned off.
+Why others are asked by name only:
+
+- MKS, 1 to 7FF: that is every command of every ODrive, set-points to Damiao motors (whatever the length), SYNC and
+  controlwords to CANopen drives.
+- Damiao, 7FF: command 1F of node 63, which enters the bootloader of an ODrive 0.6 (odriverobotics/ros_odrive,
+  can_simple_messages.hpp); all of them hear 63, the broadcast (odriverobotics/ODriveResources, can_enumerate.py).
+- CANopen nodes, SDO, 600 + node: commands to ODrives 48 to 51.
+- MyActuator, 140 + motor: commands to ODrives 10 and 11. 280 would ask all motors at once, but in the broadcast mode of
+  LK's protocol V2.35 (MF and MG, sold as RMD too) it is four torques (Jason0-0/logging_car_pro_plus, RMD_protocol.h),
+  and 9A 00 turns motor 1; nor do motors hear it that filter identifiers (the maker's Motion Protocol V4.2, 20 with
+  index 02).
+
+Those ODrives would be overheard, but for one whose heartbeat is turned off.
 """
 
 from __future__ import annotations
@@ -29,13 +40,15 @@ from typing import NamedTuple
 
 from config.drives.cia402 import SDO_REPLY, SDO_REQUEST
 from config.drives.damiao import HIGHEST_ID, REGISTERS_ID
-from config.drives.myactuator import ALL_MOTORS, REPLY
+from config.drives.myactuator import HIGHEST_ID as HIGHEST_MYACTUATOR
+from config.drives.myactuator import REPLY, REQUEST
 from rtarm.scan.heard import Heard
 from rtarm.scan.wires import Frame
 from rtloop.drives.damiao_setup import READ
 from rtloop.drives.errors import error_words
 from rtloop.drives.mks_setup import READ_STATE
 from rtloop.drives.myactuator_setup import ERRORS, STATUS
+from rtloop.drives.sdo import READ_REPLY, READ_REPLY_MASK
 
 HOST, ANYBODY = 0xFD, 0xFE
 """Of RobStride: who asks, as the maker's program does; for whom motors say their id."""
@@ -43,7 +56,7 @@ MASTER_ID = 7
 """Damiao's register of the identifier that a motor answers with."""
 DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0))
 """SDO upload of object 1000: its low word is the device profile (CiA 301)."""
-UPLOADED, DRIVE_PROFILE = 0x43, 402
+DRIVE_PROFILE = 402
 MKS_STATES = ("it reports no state", "stands", "speeds up", "slows down", "moves", "homes", "calibrates")
 
 
@@ -72,7 +85,7 @@ def _robstride(frame: Frame) -> Heard | None:
 
 def _myactuator(frame: Frame) -> Heard | None:
     number = frame.id - REPLY
-    if frame.extended or not 1 <= number <= 32 or len(frame.data) != 8 or frame.data[0] != STATUS:
+    if frame.extended or not 1 <= number <= HIGHEST_MYACTUATOR or len(frame.data) != 8 or frame.data[0] != STATUS:
         return None
     error = int.from_bytes(frame.data[6:], "little")
     state = error_words(error, ERRORS) if error else "no error"
@@ -98,7 +111,9 @@ def _mks(frame: Frame) -> Heard | None:
 
 def _cia402(frame: Frame) -> Heard | None:
     node, data = frame.id - SDO_REPLY, frame.data
-    if frame.extended or not 1 <= node <= 127 or len(data) != 8 or data[:4] != bytes((UPLOADED, *DEVICE_TYPE[1:4])):
+    if frame.extended or not 1 <= node <= 127 or len(data) != 8:
+        return None
+    if data[0] & READ_REPLY_MASK != READ_REPLY or data[1:4] != DEVICE_TYPE[1:4]:
         return None
     profile = int.from_bytes(data[4:6], "little")
     called = "CANopen drive" if profile == DRIVE_PROFILE else "CANopen node"
@@ -116,14 +131,17 @@ EVERYBODY = (
         tuple(Frame(HOST << 8 | number, bytes(8)) for number in range(1, 0xFF)),
         _robstride,
     ),
+)
+NAMED = (
     Question(
         "myactuator",
         frozenset((1_000_000, 500_000)),
-        (Frame(ALL_MOTORS, bytes((STATUS,)).ljust(8, b"\0"), extended=False),),
+        tuple(
+            Frame(REQUEST + number, bytes((STATUS,)).ljust(8, b"\0"), extended=False)
+            for number in range(1, HIGHEST_MYACTUATOR + 1)
+        ),
         _myactuator,
     ),
-)
-NAMED = (
     Question(
         "mks",
         frozenset((500_000, 1_000_000, 250_000, 125_000)),

@@ -15,7 +15,7 @@ from rtarm.scan import adapters as detection
 from rtarm.scan.adapters import Adapter
 from rtarm.scan.proposal import proposal
 from rtarm.scan.questions import BY_NAME
-from rtarm.scan.search import Outcome, search_link, search_slcan
+from rtarm.scan.search import Outcome, may_have, search_link, search_slcan
 from rtarm.scan.wires import CanWire, SlcanWire, TtyPort
 from rtloop.wire.claim import claim_for_scan
 from rtloop.wire.refusal import WireRefused
@@ -62,7 +62,7 @@ def scan(
         notes += [why_not] if why_not else []
     entries = []
     for adapter in found:
-        entry: Report = {**asdict(adapter), "outcome": None, "serial_baud": None, "family": family}
+        entry: Report = {**asdict(adapter), "outcome": None, "serial_baud": None}
         if adapter.not_tried is None:
             telling(f"looking for drives at {adapter.channel}; it takes up to a minute")
             _try(adapter, entry, family)
@@ -124,6 +124,12 @@ def _try(adapter: Adapter, entry: Report, family: str | None) -> None:
 
 
 def _try_link(adapter: Adapter, family: str | None) -> Outcome:
+    if family is not None and adapter.bitrate is not None and not may_have(family, adapter.bitrate):
+        rates = ", ".join(map(str, sorted(BY_NAME[family].bitrates)))
+        raise WireRefused(
+            f"It runs at {adapter.bitrate} bit/s, to which {family} drives cannot be set (only to {rates}), "
+            f"so none was asked: give {adapter.channel} the drives' rate, then scan again."
+        )
     with closing(claim_for_scan(adapter.channel)), closing(CanWire(adapter.channel)) as wire:
         return search_link(wire, adapter.bitrate, family)
 

@@ -6,6 +6,7 @@ that speak by themselves are overheard (`rtarm.scan.overheard`), and nobody is a
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -33,6 +34,8 @@ BUSY_FRAMES = 2
 """Frames heard before anybody was asked that make a bus somebody else's."""
 FIRST_ADDRESSES = range(1, 17)
 OTHER_ADDRESSES = range(17, 256)
+SURELY_HEARD = 16
+"""Questions after which somebody must have acknowledged."""
 LONGEST_S = 45.0
 """For one adapter; at 10 kbit/s all addresses alone take eight seconds."""
 ROUND_BITS = 300
@@ -60,7 +63,18 @@ class FoundDrive:
 
 @dataclass
 class Outcome:
-    """What came of looking at one bus."""
+    """What came of looking at one bus.
+
+    Attributes:
+        bitrate: at which somebody answers or speaks, where it is known.
+        drives: ZDT drives that have answered.
+        answered: drives of other families that have.
+        overheard: drives that have spoken by themselves.
+        listened: bit rates at which the bus was listened on.
+        asked: those at which drives were asked.
+        notes: what else is to be said, sentences.
+        asked_family: whose drives alone were to be asked; None for all who can be asked without harm to others.
+    """
 
     bitrate: int | None = None
     drives: list[FoundDrive] = field(default_factory=list)
@@ -69,11 +83,13 @@ class Outcome:
     listened: list[int] = field(default_factory=list)
     asked: list[int] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    asked_family: str | None = None
 
 
 def search_slcan(wire: SlcanWire, family: str | None = None) -> Outcome:
     """Find the bit rate of the bus behind a serial adapter, and its drives; `family`: whose drives alone are asked."""
-    outcome = Outcome()
+    outcome = Outcome(asked_family=family)
+    rates = [rate for rate in BITRATES if may_have(family, rate)]
     ends_s = wire.now_s() + LONGEST_S
     for bitrate in BITRATES:
         if not wire.open(bitrate, listen_only=True):
@@ -83,9 +99,9 @@ def search_slcan(wire: SlcanWire, family: str | None = None) -> Outcome:
         outcome.listened.append(bitrate)
         if _others_speak(wire, frames):
             return in_use(outcome, bitrate, wire, frames)
-    for bitrate in BITRATES:
+    for bitrate in rates:
         if wire.now_s() > ends_s:
-            left = ", ".join(str(rate) for rate in BITRATES if rate not in outcome.asked)
+            left = ", ".join(str(rate) for rate in rates if rate not in outcome.asked)
             outcome.notes.append(f"Not asked at {left} bit/s: {LONGEST_S:g} s were over.")
             break
         if not wire.open(bitrate, listen_only=False):
@@ -97,7 +113,7 @@ def search_slcan(wire: SlcanWire, family: str | None = None) -> Outcome:
         if not outcome.listened and UNHEARD not in outcome.notes:
             outcome.notes.append(UNHEARD)
         try:
-            ask(wire, outcome, bitrate, ends_s, family)
+            ask(wire, outcome, bitrate, ends_s)
         finally:
             wire.close()
         if outcome.bitrate:
@@ -108,14 +124,19 @@ def search_slcan(wire: SlcanWire, family: str | None = None) -> Outcome:
 
 def search_link(wire: Wire, bitrate: int | None, family: str | None = None) -> Outcome:
     """Look for drives on a CAN interface, at the one bit rate the system has given it (bit/s; None for none)."""
-    outcome = Outcome(listened=[bitrate] if bitrate else [])
+    outcome = Outcome(listened=[bitrate] if bitrate else [], asked_family=family)
     frames = _listen(wire, OVERHEARD_S)
     if _others_speak(wire, frames):
         return in_use(outcome, bitrate, wire, frames)
     outcome.asked = outcome.listened
-    ask(wire, outcome, bitrate or BITRATES[0], wire.now_s() + LONGEST_S, family)
+    ask(wire, outcome, bitrate or BITRATES[0], wire.now_s() + LONGEST_S)
     outcome.bitrate = bitrate if outcome.bitrate else None
     return outcome
+
+
+def may_have(family: str | None, bitrate: int) -> bool:
+    """Whether drives that are to be asked can be set to a bit rate (bit/s); ZDT drives, and all families, to each."""
+    return family not in BY_NAME or bitrate in BY_NAME[family].bitrates
 
 
 def _listen(wire: Wire, patience_s: float) -> list[Frame]:
@@ -133,19 +154,20 @@ def _others_speak(wire: Wire, frames: list[Frame]) -> bool:
 
 def in_use(outcome: Outcome, bitrate: int | None, wire: Wire, frames: list[Frame]) -> Outcome:
     """Somebody speaks already: that is told, and nobody is asked."""
-    addresses = ", ".join(str(address) for address in sorted({frame.id >> 8 for frame in frames}))
+    addresses = sorted({frame.id >> 8 for frame in frames if frame.id < 0x10000})
+    whose = f" (addresses {', '.join(map(str, addresses))})" if addresses else ""
     outcome.bitrate = bitrate
     outcome.overheard = overheard(wire.standard)
     if outcome.overheard and not frames:
         outcome.notes.append(
             "Nobody was asked, since these drives were overheard: others that speak only when they are spoken to are "
-            "not shown. To look for ZDT drives too, connect them alone and scan again."
+            "not shown. To look for those too, connect them alone and scan again."
         )
     elif frames:
         outcome.notes.append(
-            f"Frames were heard before anybody was asked (addresses {addresses}): another program drives these drives, "
-            "or they report by themselves, so nobody was asked; end that program or, where none runs, switch the "
-            "drives off and on, and scan again."
+            f"Frames were heard before anybody was asked{whose}: another program drives these drives, or they report "
+            "by themselves, so nobody was asked; end that program or, where none runs, switch the drives off and on, "
+            "and scan again."
         )
     else:
         outcome.notes.append(
@@ -156,28 +178,47 @@ def in_use(outcome: Outcome, bitrate: int | None, wire: Wire, frames: list[Frame
     return outcome
 
 
-def ask(wire: Wire, outcome: Outcome, bitrate: int, ends_s: float, family: str | None) -> None:
+def ask(wire: Wire, outcome: Outcome, bitrate: int, ends_s: float) -> None:
     """Ask who can be asked, or one family alone; where somebody answers, the outcome has its bit rate."""
+    family = outcome.asked_family
     if family in (None, "zdt"):
         outcome.drives = ask_zdt(wire, bitrate, ends_s)
     others = EVERYBODY if family is None else [BY_NAME[family]] if family in BY_NAME else []
     for question in others:
-        if bitrate in question.bitrates and wire.now_s() < ends_s and not (wire.troubled() and not outcome.drives):
-            outcome.answered += ask_family(wire, question, bitrate)
+        if bitrate in question.bitrates and wire.now_s() < ends_s:
+            heard = ask_family(wire, question, bitrate, acknowledged=bool(outcome.drives))
+            outcome.answered += by_number(heard)
+            outcome.notes += _sharing_a_number(heard)
     if outcome.drives or outcome.answered:
         outcome.bitrate = bitrate
 
 
-def ask_family(wire: Wire, question: Question, bitrate: int) -> list[Heard]:
-    """Ask each number of a family who is there."""
+def ask_family(wire: Wire, question: Question, bitrate: int, *, acknowledged: bool) -> list[Heard]:
+    """Ask each number of a family who is there: all answers; `acknowledged`: whether somebody has answered before."""
     pace_s = ROUND_BITS / bitrate + 0.001
     wire.standard.clear()
     heard: list[Frame] = []
-    for frame in question.frames:
+    for number, frame in enumerate(question.frames, 1):
         wire.send(frame)
         heard += wire.receive(pace_s)
+        if number == SURELY_HEARD and not acknowledged:
+            heard += wire.receive(REPLY_S)
+            if not heard and not wire.standard and wire.troubled():
+                return []  # nobody acknowledges, so nobody is at this rate
     heard += wire.receive(REPLY_S + pace_s)
-    return by_number(map(question.drive_of, (*heard, *wire.standard)))
+    said = [frame for frame in (*heard, *wire.standard) if frame not in question.frames]  # some adapters echo
+    return [drive for drive in map(question.drive_of, said) if drive is not None]
+
+
+def _sharing_a_number(heard: list[Heard]) -> list[str]:
+    """A sentence for each number at which more than one drive has answered; each was asked once."""
+    times = Counter((drive.called, drive.number) for drive in heard)
+    return [
+        f"More than one {called} answers at number {number}: unplug all but one, give each a number of its own with "
+        "its maker's program or in its menu, switch off and on, and scan again."
+        for (called, number), count in times.items()
+        if count > 1
+    ]
 
 
 def ask_zdt(wire: Wire, bitrate: int, ends_s: float) -> list[FoundDrive]:

@@ -43,10 +43,6 @@ def _adapter(entry: Report) -> list[RenderableType]:
     return parts
 
 
-def _asked(family: str | None) -> str:
-    return f"drive of family {family}" if family else "ZDT, RobStride or MyActuator drive"
-
-
 def _verdict(entry: Report, outcome: Report) -> str:
     baud = f", serial line at {entry['serial_baud']} baud" if entry["serial_baud"] not in (None, "cdc") else ""
     rates = ", ".join(map(str, outcome["asked"]))
@@ -61,11 +57,14 @@ def _verdict(entry: Report, outcome: Report) -> str:
         return f"{count} {speaks} by {'itself' if count == 1 else 'themselves'}{rate}{baud}"
     if not outcome["asked"]:
         return "in use" if outcome["notes"] else "nobody was asked"
+    family = outcome["asked_family"]
+    asked = f"drive of family {family}" if family else "ZDT or RobStride drive"
+    menu = ", and that the port in a ZDT drive's menu is set to CAN" if family in (None, "zdt") else ""
+    only_named = "; MyActuator, MKS, Damiao and silent CANopen drives are asked with --family only"
+    others = "; nobody else was asked" if family else only_named
     return (
-        f"no {_asked(entry['family'])} answers (asked at {rates} bit/s{baud}), and no heartbeat of an ODrive or a "
-        "CANopen drive was heard: check the drives' power, the two CAN wires, 120 Ω at both ends, and that the port in "
-        "a ZDT drive's menu is set to CAN; MKS, Damiao and silent CANopen drives are asked with --family only "
-        "(docs/hardware/drives.md)"
+        f"no {asked} answers (asked at {rates} bit/s{baud}), and no heartbeat of an ODrive or a CANopen drive was "
+        f"heard: check the drives' power, the two CAN wires, 120 Ω at both ends{menu}{others} (docs/hardware/drives.md)"
     )
 
 

@@ -150,10 +150,10 @@ def of_drives() -> Reports:
 
 
 def of_scan() -> Reports:
-    """Of an adapter behind which drives have answered and another was overheard; and of none."""
-    asked = Heard("damiao", "Damiao motor", 1, "answers on 0x11", {"motor_id": 1, "master_id": 0x11})
-    spoke = Heard("odrive", "ODrive axis", 2, "idle", {"node_id": 2})
-    outcome = Searched(500_000, [FoundDrive(1)], [asked], [spoke])
+    """Of an adapter behind which drives have answered and one was overheard, with all that they say; and of none."""
+    settings = ({"motor_id": 1, "master_id": 0x11}, {"can_id": 1}, {"node_id": 1})
+    asked = [Heard("damiao", "Damiao motor", 1, "answers on 0x11", given) for given in settings]
+    outcome = Searched(500_000, [FoundDrive(1)], asked, [Heard("odrive", "ODrive axis", 2, "idle", {"node_id": 2})])
     adapter = Adapter("/dev/nowhere", "slcan", "an adapter")
     with (
         patch("rtarm.scan.run._named", lambda *_: adapter),

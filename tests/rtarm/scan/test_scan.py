@@ -28,11 +28,12 @@ from rtarm.doctor.machine import Machine
 from rtarm.scan import adapters, search
 from rtarm.scan.overheard import drive_of
 from rtarm.scan.proposal import proposal
-from rtarm.scan.questions import EVERYBODY, NAMED, Question
-from rtarm.scan.run import scan
+from rtarm.scan.questions import BY_NAME, EVERYBODY, NAMED, Question
+from rtarm.scan.run import _try_link, scan
 from rtarm.scan.search import BITRATES, LONGEST_S, Outcome, search_link, search_slcan
 from rtarm.scan.show import render
 from rtarm.scan.wires import CanWire, Frame, SlcanWire, frame_of, standard_frame_of
+from rtloop.wire.refusal import WireRefused
 from rtloop.wire.tty import open_port
 from sim import faults
 from sim.arm import SimulatedArm
@@ -84,6 +85,15 @@ def searched(port: VirtualPort) -> Outcome:
     assert port.functions <= READS
     assert not any(drive.moving for drive in port.sim.drives)
     return outcome
+
+
+def shown(outcome: Outcome) -> str:
+    """What a person reads of it, in one line."""
+    text = io.StringIO()
+    adapter = {"channel": "/dev/ttyACM0", "what": "adapter", "usb": None, "not_tried": None, "serial_baud": "cdc"}
+    report = {"adapters": [{**adapter, "outcome": asdict(outcome)}], "notes": [], "proposal": None}
+    Console(file=text, width=100).print(render(report))
+    return " ".join(text.getvalue().split())
 
 
 # --- lines and frames -----------------------------------------------------------------------------------
@@ -247,6 +257,15 @@ def test_a_bus_of_other_machines_is_not_spoken_on(line: bytes, busy: bool) -> No
     assert ("belongs to something else" in " ".join(outcome.notes)) == busy
 
 
+def test_frames_of_other_families_have_no_address_of_a_zdt_drive() -> None:
+    port = Overheard(bus().sim)
+    port.line = b"T028001AA88A2F7FFF7FFF0131\r"  # facts/other-drives.md, RobStride: feedback
+    wire = SlcanWire(port)
+    wire.greet()
+    outcome = search_slcan(wire)
+    assert outcome.asked == [] and "Frames were heard before anybody was asked: another" in outcome.notes[0]
+
+
 def test_a_can_interface_of_other_machines_is_not_spoken_on() -> None:
     wire = VirtualCan()
     wire.foreign = 5
@@ -306,10 +325,7 @@ def test_drives_that_speak_by_themselves_are_overheard_and_nobody_is_asked(arm: 
     assert [(drive.family, drive.number) for drive in outcome.overheard] == [(family, n) for n in range(1, 7)]
     assert port.functions == set() and b"t" not in port.written.lower().replace(b"\r", b"")
     entry = {"outcome": asdict(outcome), "serial_baud": "cdc", "interface": "slcan", "channel": "/dev/ttyACM0"}
-    shown = io.StringIO()
-    seen = {**entry, "what": "adapter", "usb": None, "not_tried": None, "family": None}
-    Console(file=shown, width=100).print(render({"adapters": [seen], "notes": [], "proposal": None}))
-    assert "6 drives speak by themselves at 1000000 bit/s" in shown.getvalue() and called in shown.getvalue()
+    assert "6 drives speak by themselves at 1000000 bit/s" in shown(outcome) and called in shown(outcome)
     proposed = yaml.safe_load(proposal(entry))
     assert [joint["drive"] for joint in proposed["joints"]] == [
         {"family": family, "node_id": number} for number in range(1, 7)
@@ -324,10 +340,10 @@ def found_in(arm: str, family: str | None = None, **overrides: Any) -> tuple[Vir
     return port, search_slcan(wire, family)
 
 
-NAMED_ONLY = {"mks6": "mks", "damiao6": "damiao", "cia402_6": "cia402"}
+NAMED_ONLY = {"myactuator6": "myactuator", "mks6": "mks", "damiao6": "damiao", "cia402_6": "cia402"}
 
 
-@pytest.mark.parametrize(("arm", "family"), [("robstride6", None), ("myactuator6", None), *NAMED_ONLY.items()])
+@pytest.mark.parametrize(("arm", "family"), [("robstride6", None), ("robstride6", "robstride"), *NAMED_ONLY.items()])
 def test_drives_of_other_families_answer_and_their_arm_file_is_proposed(arm: str, family: str | None) -> None:
     config = load_arm(arm)
     _, outcome = found_in(arm, family)
@@ -341,10 +357,54 @@ def test_drives_of_other_families_answer_and_their_arm_file_is_proposed(arm: str
         assert all(getattr(drive, name) == value for name, value in given.items())
 
 
-def state_of(drive: Any) -> str:
-    """All that a question could change of a simulated drive: settings, registers, whether it holds, where it stands."""
-    kept = ("settings", "registers", "parameters", "enabled", "state", "status", "counted", "position")
-    return repr([(name, getattr(drive, name)) for name in kept if hasattr(drive, name)])
+FLEETING = {"outbox", "wake_ns", "_timers", "_now_ns", "_replied_ns", "_random", "_step_ns", "_last_step", "_idle"}
+FLEETING |= {"stall_ns", "_reads", "_commands"}
+"""What time changes of a simulated drive, and of its shaft, that nobody speaks to; tables that are made when read."""
+
+
+def state_of(thing: Any, depth: int = 3) -> Any:
+    """All that a question could change of a simulated drive, down to its shaft."""
+    inner = getattr(thing, "__dict__", None)
+    if not inner or callable(thing) or depth == 0:
+        return repr(thing)
+    return {name: state_of(value, depth - 1) for name, value in inner.items() if name not in FLEETING}
+
+
+def wire_to(port: VirtualPort, bitrate: int) -> SlcanWire:
+    wire = SlcanWire(port)
+    assert wire.open(bitrate, listen_only=False)
+    return wire
+
+
+@pytest.mark.parametrize(
+    ("arm", "frame"),
+    [
+        ("episode1", Frame(0x100, bytes.fromhex("F3AB00006B"))),  # let go; facts/zdt-emm-v5.md
+        ("mks6", Frame(1, bytes.fromhex("F300F4"), False)),  # let go; facts/other-drives.md, as those that follow
+        ("damiao6", Frame(1, bytes.fromhex("FFFFFFFFFFFFFFFC"), False)),
+        ("odrive6", Frame(0x22, b"", False)),  # stop
+        ("cia402_6", Frame(0x601, bytes.fromhex("2B17100064000000"), False)),  # heartbeat
+        ("robstride6", Frame(0x0300AA01, bytes(8))),
+        ("myactuator6", Frame(0x141, bytes.fromhex("A200000010270000"), False)),
+    ],
+)
+def test_a_command_is_seen_in_the_state_of_a_drive(arm: str, frame: Frame) -> None:
+    """Or else the tests below would prove nothing."""
+    config = load_arm(arm)
+    port = VirtualPort(SimulatedArm(config))
+    wire = wire_to(port, config.bus.bitrate)
+    before = state_of(port.sim.drives[0])
+    wire.receive(0.1)
+    assert state_of(port.sim.drives[0]) == before
+    wire.send(frame)
+    wire.receive(0.1)
+    assert state_of(port.sim.drives[0]) != before
+
+
+def test_what_everybody_is_asked_has_extended_identifiers_of_type_0() -> None:
+    """Others than ZDT and RobStride drives hear standard ones; see `rtarm.scan.questions`."""
+    frames = [frame for question in EVERYBODY for frame in question.frames]
+    assert frames and all(frame.extended and frame.id < 0x10000 and not any(frame.data) for frame in frames)
 
 
 FAMILIES = ("episode1", "mks6", "damiao6", "odrive6", "cia402_6", "robstride6", "myactuator6")
@@ -358,10 +418,9 @@ def test_a_question_changes_nothing_of_any_drive(question: Question, arm: str) -
     config = load_arm(arm)
     family = config.joints[0].drive.family
     port = VirtualPort(SimulatedArm(config))
-    wire = SlcanWire(port)
-    assert wire.open(config.bus.bitrate, listen_only=False)
+    wire = wire_to(port, config.bus.bitrate)
     before = [state_of(drive) for drive in port.sim.drives]
-    heard = search.ask_family(wire, question, config.bus.bitrate)
+    heard = search.ask_family(wire, question, config.bus.bitrate, acknowledged=True)
     assert [state_of(drive) for drive in port.sim.drives] == before
     assert {drive.family for drive in heard} == ({family} if question.family == family else set())
 
@@ -370,11 +429,9 @@ def test_a_question_changes_nothing_of_any_drive(question: Question, arm: str) -
     ("arm", "numbers"),
     [
         ("episode1", {"address": 253}),  # to which RobStride's question looks as if it were addressed
-        ("mks6", {"can_id": 0x280}),
-        ("odrive6", {"node_id": 20}),
-        ("odrive6", {"node_id": 0x3F}),
         ("robstride6", {"motor_id": 0xFE}),
-        ("damiao6", {"motor_id": 15, "master_id": 0x280}),
+        ("mks6", {"can_id": 0x100}),  # the question to ZDT drive 1 has these bits, in an extended identifier
+        ("odrive6", {"node_id": 8}),
     ],
 )
 def test_no_number_makes_a_question_to_everybody_a_command(arm: str, numbers: dict[str, int]) -> None:
@@ -383,11 +440,10 @@ def test_no_number_makes_a_question_to_everybody_a_command(arm: str, numbers: di
     drive = first.drive.model_copy(update=numbers)
     joints = (first.model_copy(update={"drive": drive}), *config.joints[1:])
     port = VirtualPort(SimulatedArm(config.model_copy(update={"joints": joints})))
-    wire = SlcanWire(port)
-    assert wire.open(config.bus.bitrate, listen_only=False)
+    wire = wire_to(port, config.bus.bitrate)
     before = state_of(port.sim.drives[0])
     for question in EVERYBODY:
-        search.ask_family(wire, question, config.bus.bitrate)
+        search.ask_family(wire, question, config.bus.bitrate, acknowledged=True)
     search.ask_zdt(wire, config.bus.bitrate, port.now_s() + LONGEST_S)
     assert state_of(port.sim.drives[0]) == before
 
@@ -397,7 +453,71 @@ def test_who_must_be_named_is_not_asked_otherwise(arm: str) -> None:
     port, outcome = found_in(arm)
     assert not outcome.answered
     asked = {frame for line in port.written.split(b"\r") if (frame := standard_frame_of(line)) is not None}
-    assert asked == {frame for question in EVERYBODY for frame in question.frames if not frame.extended}
+    assert asked == set()
+    assert "MyActuator, MKS, Damiao and silent CANopen drives are asked with --family only" in shown(outcome)
+
+
+@pytest.mark.parametrize("family", ["myactuator", "mks", "damiao", "cia402", "robstride", "zdt"])
+def test_who_is_named_is_asked_alone_at_rates_that_it_can_have(family: str) -> None:
+    port = bus([faults.Silent(f"joint{n}", 0.0) for n in range(1, 7)])
+    wire = SlcanWire(port)
+    wire.greet()
+    outcome = search_slcan(wire, family)
+    lines = [line for line in port.written.split(b"\r") if line[:1] in (b"T", b"t")]
+    asked = {frame for line in lines if (frame := frame_of(line) or standard_frame_of(line)) is not None}
+    if family == "zdt":
+        assert outcome.asked == list(BITRATES) and port.functions == {0x1F} and len(asked) == 255
+    else:
+        assert set(outcome.asked) == BY_NAME[family].bitrates and asked == set(BY_NAME[family].frames)
+    assert f"no drive of family {family} answers" in shown(outcome) and "nobody else was asked" in shown(outcome)
+
+
+@pytest.mark.parametrize("family", ["mks", None])
+def test_where_nobody_acknowledges_few_questions_are_asked(family: str | None) -> None:
+    """Another bit rate than the drives have: the adapter tells that nobody has acknowledged."""
+    port, outcome = found_in("mks6", family, bus={"bitrate": 125_000})
+    sent = port.written.split(b"O\r")[1:]  # at each rate
+    assert [rate for rate in outcome.asked if rate != 125_000] and len(sent) == len(outcome.asked)
+    for rate, lines in zip(outcome.asked, sent, strict=True):
+        questions = len([line for line in lines.split(b"\r") if line[:1] in (b"T", b"t")])
+        assert (questions <= 2 * search.SURELY_HEARD + 1) == (rate != 125_000)
+    assert len(outcome.answered) == (6 if family else 0)
+
+
+def test_an_interface_of_a_rate_that_the_family_cannot_have_is_not_asked() -> None:
+    with pytest.raises(WireRefused, match="runs at 800000 bit/s, to which mks drives cannot be set"):
+        _try_link(adapters.Adapter("can0", "socketcan", "CAN interface", bitrate=800_000), "mks")
+
+
+def test_two_motors_of_one_number() -> None:
+    config = load_arm("robstride6")
+    port = VirtualPort(SimulatedArm(config, faults=[faults.SameAddress("joint6", 0.0)]))
+    wire = SlcanWire(port)
+    wire.greet()
+    outcome = search_slcan(wire)
+    assert [drive.number for drive in outcome.answered] == [1, 2, 3, 4, 5, 6]
+    [note] = [note for note in outcome.notes if "More than one" in note]
+    assert "More than one RobStride motor answers at number 6: unplug all but one" in note
+
+
+class Echoing(VirtualPort):
+    """An adapter that says what it has sent as well."""
+
+    echo = b""
+
+    def write(self, data: bytes) -> None:
+        super().write(data)
+        self.echo += data if data[:1] in (b"T", b"t") else b""
+
+    def read(self, patience_s: float) -> bytes:
+        data, self.echo = self.echo, b""
+        return data + super().read(patience_s)
+
+
+@pytest.mark.parametrize("question", [*EVERYBODY, *NAMED], ids=lambda one: one.family)
+def test_an_echo_is_no_answer(question: Question) -> None:
+    port = Echoing(bus([faults.Silent(f"joint{n}", 0.0) for n in range(1, 7)]).sim)
+    assert search.ask_family(wire_to(port, 500_000), question, 500_000, acknowledged=True) == []
 
 
 def test_a_family_that_is_not_asked_is_refused(tmp_path: Path) -> None:
