@@ -18,6 +18,10 @@ question as commands, were its heartbeats not heard before. A moteus reads nothi
 (mjbots/mjlib, micro_server.cc). What a RobStride motor is asked, and says, is as in the maker's SampleProgram
 (Robstride01.cpp) and the CyberGear's manual (belovictor/cybergear-docs, 4.1.1).
 
+A VESC, which rtarm does not lead either, hears an extended identifier as command << 8 | number (vedderb/bldc,
+comm_can.c) and looks at no length: with number 0 each address of a ZDT question is a command to it, 1 a current. So
+17 comes first, which is its ping (since 2019): `rtarm.scan.search.a_vesc_answers`.
+
 Why others are asked by name only:
 
 - MKS, 1 to 7FF: that is every command of every ODrive, set-points to Damiao motors (whatever the length), SYNC and

@@ -32,6 +32,12 @@ OVERHEARD_S = 1.1
 """So long is listened where drives speak by themselves: heartbeats a second apart are heard too."""
 BUSY_FRAMES = 2
 """Frames heard before anybody was asked that make a bus somebody else's."""
+VESC_PING, VESC_PONG = 17, 18
+"""Of a VESC, whose identifiers are command << 8 | number (vedderb/bldc, comm_can.c)."""
+VESC = (
+    "A VESC of number 0 answers, to which questions to ZDT drives are commands, so nobody else was asked: give it "
+    "another number with VESC Tool, or connect the drives alone, and scan again."
+)
 FIRST_ADDRESSES = range(1, 17)
 OTHER_ADDRESSES = range(17, 256)
 SURELY_HEARD = 16
@@ -182,6 +188,10 @@ def ask(wire: Wire, outcome: Outcome, bitrate: int, ends_s: float) -> None:
     """Ask who can be asked, or one family alone; where somebody answers, the outcome has its bit rate."""
     family = outcome.asked_family
     if family in (None, "zdt"):
+        if a_vesc_answers(wire, bitrate):
+            outcome.bitrate = bitrate
+            outcome.notes.append(VESC)
+            return
         outcome.drives = ask_zdt(wire, bitrate, ends_s)
     others = EVERYBODY if family is None else [BY_NAME[family]] if family in BY_NAME else []
     for question in others:
@@ -191,6 +201,12 @@ def ask(wire: Wire, outcome: Outcome, bitrate: int, ends_s: float) -> None:
             outcome.notes += _sharing_a_number(heard)
     if outcome.drives or outcome.answered:
         outcome.bitrate = bitrate
+
+
+def a_vesc_answers(wire: Wire, bitrate: int) -> bool:
+    """Whether a VESC of number 0 is there: a ZDT question to address 17 is its ping, and the answer names who asked."""
+    pong = VESC_PONG << 8 | registers.ASK_FIRMWARE[0]
+    return any(frame.id == pong for frame in _ask_for_firmware(wire, (VESC_PING,), ROUND_BITS / bitrate + 0.001))
 
 
 def ask_family(wire: Wire, question: Question, bitrate: int, *, acknowledged: bool) -> list[Heard]:

@@ -55,7 +55,7 @@ def _verdict(entry: Report, outcome: Report) -> str:
         speaks = "drive speaks" if count == 1 else "drives speak"
         rate = f" at {outcome['bitrate']} bit/s" if outcome["bitrate"] else ""
         return f"{count} {speaks} by {'itself' if count == 1 else 'themselves'}{rate}{baud}"
-    if not outcome["asked"]:
+    if outcome["bitrate"] or not outcome["asked"]:
         return "in use" if outcome["notes"] else "nobody was asked"
     family = outcome["asked_family"]
     asked = f"drive of family {family}" if family else "ZDT or RobStride drive"

@@ -520,6 +520,33 @@ def test_an_echo_is_no_answer(question: Question) -> None:
     assert search.ask_family(wire_to(port, 500_000), question, 500_000, acknowledged=True) == []
 
 
+class WithVesc(VirtualPort):
+    """A bus with a VESC of number 0 (vedderb/bldc, comm_can.c): it answers command 17, and would obey others."""
+
+    answer = b""
+
+    def write(self, data: bytes) -> None:
+        super().write(data)
+        if data[:9] == b"T00001100":
+            self.answer = b"T000012%s20000\r" % data[10:12]
+
+    def read(self, patience_s: float) -> bytes:
+        data = super().read(patience_s)
+        answer, self.answer = self.answer, b""
+        return data + answer
+
+
+def test_a_vesc_to_which_questions_would_be_commands_is_asked_its_ping_alone() -> None:
+    port = WithVesc(bus().sim)
+    wire = SlcanWire(port)
+    wire.greet()
+    outcome = search_slcan(wire)
+    frames = [frame for line in port.written.split(b"\r") if (frame := frame_of(line)) is not None]
+    assert frames == [Frame(17 << 8, b"\x1f\x6b")]
+    assert (outcome.bitrate, outcome.drives, outcome.answered) == (500_000, [], [])
+    assert "A VESC of number 0 answers" in shown(outcome) and ": adapter in use" in shown(outcome)
+
+
 def test_a_family_that_is_not_asked_is_refused(tmp_path: Path) -> None:
     with pytest.raises(Refusal, match="Drives of family odrive are not asked: name zdt, robstride"):
         scan(machine(tmp_path, {}), [], family="odrive")
