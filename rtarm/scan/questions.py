@@ -50,8 +50,9 @@ from rtarm.scan.heard import Heard
 from rtarm.scan.wires import Frame
 from rtloop.drives.damiao_setup import READ
 from rtloop.drives.errors import error_words
-from rtloop.drives.mks_setup import READ_STATE
-from rtloop.drives.myactuator_setup import ERRORS, STATUS
+from rtloop.drives.mks_protocol import READ_STATE
+from rtloop.drives.myactuator_protocol import ERROR, ERRORS, STATUS
+from rtloop.drives.numbers import unpacked
 from rtloop.drives.sdo import READ_REPLY, READ_REPLY_MASK
 
 HOST, ANYBODY = 0xFD, 0xFE
@@ -91,7 +92,7 @@ def _myactuator(frame: Frame) -> Heard | None:
     number = frame.id - REPLY
     if frame.extended or not 1 <= number <= HIGHEST_MYACTUATOR or len(frame.data) != 8 or frame.data[0] != STATUS:
         return None
-    error = int.from_bytes(frame.data[6:], "little")
+    error = unpacked(frame.data, ERROR)
     state = error_words(error, ERRORS) if error else "no error"
     return Heard("myactuator", "MyActuator motor", number, state, {"motor_id": number})
 
