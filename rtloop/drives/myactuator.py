@@ -102,7 +102,7 @@ def receive(
 ) -> None:
     """Store what an answer holds: the position (92), speed and torque (A4, 9C), the status (9A), or a shutdown (80)."""
     row, axis = loop.joints[joint], loop.axes[joint]
-    said = data & 255
+    said = words.whole(data, protocol.COMMAND)
     if length != 8:
         return
     if said == protocol.ANGLE:

@@ -28,20 +28,22 @@ READ_ANGLE = Number(4, 4, signed=True)
 """Of 92, in hundredths of a degree."""
 TEMPERATURE_C = Number(1, 1, signed=True)
 """Of 9A, 9C and A4."""
+STEPS_PER_AMPERE = 100.0
 CURRENT = Number(2, 2, signed=True)
 """Of 9C and A4, in hundredths of an ampere."""
 SPEED = Number(4, 2, signed=True, step=STEPS_PER_DEGREE)
 """Of 9C and A4: whole degrees a second, here as hundredths."""
+# of 9A
 BRAKE_RELEASED = Number(3, 1)
 VOLTAGE_V = Number(4, 2, step=0.1)
 ERROR = Number(6, 2)
-"""Of 9A."""
 
+# of 42 and 43
 RAMP_INDEX = Number(1, 1)
-"""Of 42 and 43."""
 RAMP_DPS_S = Number(4, 4)
 RAMPS = ((0, "acceleration"), (1, "deceleration"))
-"""Indexes: those of position planning."""
+"""The ramps of position planning: index, name."""
+
 UPTIME_MS = Number(4, 4)
 """Of B1; it starts anew at 49.7 days."""
 

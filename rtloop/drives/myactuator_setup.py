@@ -111,7 +111,7 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
     drive = _drive(joint)
     row["silence_deceleration_rad_s2"] = math.radians(ramp_dps_s(joint, arm)) / joint.ratio
     if drive.nm_per_ampere is not None:
-        row["effort_per_unit"] = joint.direction * joint.ratio * drive.nm_per_ampere / protocol.STEPS_PER_DEGREE
+        row["effort_per_unit"] = joint.direction * joint.ratio * drive.nm_per_ampere / protocol.STEPS_PER_AMPERE
 
 
 def ramp_dps_s(joint: JointConfig, arm: ArmConfig) -> int:
@@ -138,7 +138,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     yield from _at_rest(joint, config)
     yield from _with_its_ramp(host, joint)
     held = yield from _angle(joint, config)
-    here = {protocol.TARGET_SPEED_DPS: CREEP_DPS, protocol.TARGET_ANGLE: held}
+    here: Values = {protocol.TARGET_SPEED_DPS: CREEP_DPS, protocol.TARGET_ANGLE: held}
     yield from _answered(joint, config, protocol.TARGET, "target", here)
     status = yield from _answered(joint, config, protocol.STATUS, "status")
     if unpacked(status, protocol.BRAKE_RELEASED) == 0:  # or it has no brake
@@ -275,7 +275,7 @@ def _with_its_ramp(host: Host, joint: int) -> Part[None]:
 def _with_ramp(joint: int, config: JointConfig, index: int, name: str, wanted: int) -> Part[int]:
     """Write a ramp where it is another one; what it was before (degrees/s²). Raises DialogueFailed."""
     before = found = yield from _ramp(joint, config, index, name)
-    ramp = {protocol.RAMP_INDEX: index, protocol.RAMP_DPS_S: wanted}
+    ramp: Values = {protocol.RAMP_INDEX: index, protocol.RAMP_DPS_S: wanted}
     if found != wanted:
         found = yield from written(
             lambda: _answered(joint, config, protocol.WRITE_RAMP, name, ramp),

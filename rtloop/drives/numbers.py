@@ -4,13 +4,14 @@ A family's protocol file names its numbers; who reads or writes one says its nam
 bytes as one 64-bit word with the first byte lowest.
 """
 
+import operator
 import struct
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 
 class Number(NamedTuple):
-    """A whole number in `size` bytes from byte `at`."""
+    """A whole number in `size` bytes (1 to 6) from byte `at`."""
 
     at: int
     size: int
@@ -18,7 +19,7 @@ class Number(NamedTuple):
     """In two's complement."""
     big_endian: bool = False
     step: float = 1.0
-    """What one of it is, in the unit in which the cycle wants it."""
+    """What one of it is in the unit of its name, for `words.quantity`; all else reads and writes whole numbers."""
 
 
 class Single(NamedTuple):
@@ -59,13 +60,18 @@ def packed(values: Values, length: int = 8) -> bytes:
         if isinstance(number, Single):
             struct.pack_into("<f", data, number.at, value)
         else:
-            order: Literal["big", "little"] = "big" if number.big_endian else "little"
-            data[number.at : number.at + number.size] = int(value).to_bytes(number.size, order, signed=number.signed)
+            data[number.at : number.at + number.size] = _bytes_of(number, value)
     return bytes(data)
 
 
+def _bytes_of(number: Number, value: Any) -> bytes:
+    """The bytes of a value, which must be a whole number."""
+    order: Literal["big", "little"] = "big" if number.big_endian else "little"
+    return operator.index(value).to_bytes(number.size, order, signed=number.signed)
+
+
 def unpacked(data: bytes, number: Number) -> int:
-    """The whole number in the data bytes of a frame."""
+    """The whole number in the data bytes of a frame, whose length the caller knows."""
     return whole(int.from_bytes(data, "little"), number)
 
 

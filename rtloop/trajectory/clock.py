@@ -25,8 +25,8 @@ IMPOSSIBLE = 1e9
 NO_PATH = 100.0
 BREAKS_A_LIMIT = 10.0
 """Added to the strain of a ramp that the last line of defence would not let pass."""
-UNPROVEN = 1.0
-"""Added to that of one to a higher rate, which can wait, when the cycle may not look at all its setpoints."""
+UNPROVEN = 2.0
+"""Added to that of one to a higher rate when the cycle may not look at all its setpoints."""
 RESERVE_PERIODS = 3.0
 ROUNDING = 1.0 + 1e-9
 HEADROOM = 0.9
@@ -157,9 +157,9 @@ def setpoint_strain(loop: Loop, target: float, duration_s: float) -> float:
 
 @jit
 def ramp_duration(loop: Loop, target: float, factor: float, longer_than_s: float = 0.0) -> tuple[float, float]:
-    """The shortest candidate in which the rate reaches `target` inside the limits, else the gentlest.
+    """The shortest candidate beyond `longer_than_s` in which the rate reaches `target` inside the limits.
 
-    Of the candidates longer than `longer_than_s`.
+    Where there is none, that of the least strain.
 
     `factor` is the share of the acceleration limits that the ramp may use: ORDERLY, or that of an urgent stop.
 
@@ -199,7 +199,8 @@ def ramp_breaks_a_limit(loop: Loop) -> bool:
 def steer_rate(loop: Loop, target: float, factor: float) -> None:
     """Let the rate go to `target`; a ramp that already goes there runs on, unless a harder one is there sooner.
 
-    One on which a limit would be broken gives way to a gentler one, if there is one on which that is not known.
+    One on which a setpoint is found to break a limit gives way to a longer candidate on which none is known to, if
+    there is one; candidates longer than the whole ramp alone are asked, so that this comes to an end.
 
     Turning a ramp round in its steepest part can be impossible, without the clock running backwards or the
     joints being pushed too hard. The running ramp then goes on and the question is asked again in the next
@@ -209,12 +210,11 @@ def steer_rate(loop: Loop, target: float, factor: float) -> None:
     on_its_way = target == clock.rate_target
     if on_its_way and clock.ramp_s <= 0.0:
         return
-    if on_its_way and ramp_breaks_a_limit(loop):
-        duration_s, strain = ramp_duration(loop, target, factor, clock.ramp_s)
-        if strain < BREAKS_A_LIMIT:
-            begin_ramp(loop, target, duration_s, factor)
-            return
     if on_its_way and factor <= clock.ramp_factor:
+        if ramp_breaks_a_limit(loop):
+            duration_s, strain = ramp_duration(loop, target, factor, clock.ramp_s)
+            if strain < BREAKS_A_LIMIT:
+                begin_ramp(loop, target, duration_s, factor)
         return
     duration_s, strain = ramp_duration(loop, target, factor)
     can_wait = target > clock.rate > 0.0 and is_rough(loop, loop.params.longest_stop_s)

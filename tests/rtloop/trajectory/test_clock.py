@@ -50,11 +50,11 @@ class Clock:
         row["velocity_rad_s"] = acceleration_rad_s2 * times_s
         row["position_rad"] = 0.5 * acceleration_rad_s2 * times_s**2
 
-    def bump(self, ahead_s: float) -> None:
-        """Let a point so far ahead lie beside the line by more than the joint's acceleration makes good."""
+    def bump(self, ahead_s: float, beside_rad: float = 0.01) -> None:
+        """Let a point so far ahead lie beside the line, by more than its acceleration makes good at rate 1."""
         times_s = self.loop["waypoints"]["time_ns"][: self.path["taken"]] * 1e-9
         nearest = int(np.argmin(abs(times_s - self.loop["clock"]["time_s"] - ahead_s)))
-        self.loop["waypoints"]["joints"]["position_rad"][nearest, 3] += 0.01
+        self.loop["waypoints"]["joints"]["position_rad"][nearest, 3] += beside_rad
 
     def advance(self) -> None:
         """One cycle along the path: the clock, and the commanded setpoint of each joint."""
@@ -287,19 +287,46 @@ def test_an_urgent_stop_cuts_an_orderly_one_short_and_none_is_made_longer() -> N
         assert it.loop["clock"]["ramp_s"] in (urgent_s, 0.0), "a stop that is nearly over is not begun anew"
 
 
-def test_a_stop_that_no_gentler_one_spares_a_bump_runs_on() -> None:
-    """Found by a look that was left to a later cycle; the longer candidates meet it too."""
-    it = Clock(path_s=20.0, at_s=10.0, gap_s=0.01)
-    it.bump(0.1)
-    it.loop["search"]["checks_left"] = 3
-    clock.steer_rate(it.loop, 0.0, ORDERLY)
-    duration = float(it.loop["clock"]["ramp_s"])
-    assert 0.0 < duration < it.longest_s, "believed"
+def believed(it: Clock, share: float, *, bump_rad: float, ahead_s: float) -> float:
+    """An orderly stop over a bump, of a share of the longest, runs since a cycle and is not looked at yet; how long."""
+    it.bump(ahead_s, bump_rad)
+    duration = share * it.longest_s
+    clock.begin_ramp(it.loop, 0.0, duration, ORDERLY)
     it.advance()
-    it.loop["search"]["checks_left"] = 10**6
+    return duration
+
+
+def test_a_stop_on_which_a_bump_is_found_gives_way_to_a_longer_one_once() -> None:
+    it = Clock(path_s=20.0, at_s=10.0, gap_s=0.01)
+    duration = believed(it, 0.35, bump_rad=0.001, ahead_s=0.25)
     clock.steer_rate(it.loop, 0.0, ORDERLY)
-    assert it.loop["clock"]["ramp_judged"] < 10
+    longer = float(it.loop["clock"]["ramp_s"])
+    assert longer > duration and it.loop["clock"]["ramp_elapsed_s"] == 0.0
+    assert clock.setpoint_strain(it.loop, 0.0, duration) == clock.BREAKS_A_LIMIT
+    assert clock.setpoint_strain(it.loop, 0.0, longer) == 0.0
+    while it.loop["clock"]["ramp_s"] > 0.0:
+        it.loop["search"]["checks_left"] = 10**6
+        clock.steer_rate(it.loop, 0.0, ORDERLY)
+        it.advance()
+        assert it.loop["clock"]["ramp_s"] in (longer, 0.0) and it.loop["clock"]["rate_target"] == 0.0
+
+
+def test_a_stop_that_no_longer_one_spares_a_bump_runs_on() -> None:
+    it = Clock(path_s=20.0, at_s=10.0, gap_s=0.01)
+    duration = believed(it, 0.13, bump_rad=0.01, ahead_s=0.1)
+    clock.steer_rate(it.loop, 0.0, ORDERLY)
+    assert 0 < it.loop["clock"]["ramp_judged"] < 12
+    assert clock.ramp_duration(it.loop, 0.0, ORDERLY, duration)[1] >= clock.BREAKS_A_LIMIT
     assert (it.loop["clock"]["ramp_s"], it.loop["clock"]["ramp_elapsed_s"]) == (duration, pytest.approx(PERIOD_S))
+
+
+def test_an_urgent_stop_is_asked_for_before_the_orderly_one_is_looked_at() -> None:
+    it = Clock(path_s=20.0, at_s=10.0, gap_s=0.01)
+    duration = believed(it, 0.35, bump_rad=0.001, ahead_s=0.25)
+    urgent, strain = clock.ramp_duration(it.loop, 0.0, BRAKING)
+    assert strain <= 1.0 and urgent < duration
+    clock.steer_rate(it.loop, 0.0, BRAKING)
+    assert (it.loop["clock"]["ramp_s"], it.loop["clock"]["ramp_factor"]) == (urgent, BRAKING)
 
 
 def test_a_running_ramp_that_cannot_be_turned_round_runs_on() -> None:
