@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import pytest
 from depth import examples
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
 
@@ -432,6 +432,14 @@ SILENCES = st.builds(
 
 @settings(max_examples=examples(25))
 @given(st.tuples(*[st.sampled_from(FLAGS)] * 6), st.lists(SILENCES, min_size=1, max_size=4))
+@example(
+    ("absent", "right", "absent", "absent", "absent", "right"),
+    [
+        Silence(frozenset((0, 2, 3, 4)), frozenset((0, 2, 3, 4)), 0.1640625),
+        Silence(frozenset((0, 1, 3)), frozenset((3,)), 2.0),
+        Silence(frozenset((5,)), frozenset((5,)), 0.8046875, garbled=0.003),
+    ],
+)
 def test_no_angle_is_kept_over_a_loss_of_power_and_none_is_lost_that_is_proven(
     flags: tuple[PowerFlag, ...], silences: list[Silence]
 ) -> None:
@@ -450,6 +458,7 @@ def test_no_angle_is_kept_over_a_loss_of_power_and_none_is_lost_that_is_proven(
         assert kept == known or silence.garbled > 0.0  # what is garbled proves nothing
         assert all(known[joint] for joint in range(6) if kept[joint])
         known = kept
+    arm.cycles(20)  # the last reading may be one of the garbled line, off by less than a jump
     for joint, angle_rad in enumerate(arm.loop[0]["axes"]["measured"]["position_rad"][:6]):
         assert arm.sim is not None
         if known[joint]:
