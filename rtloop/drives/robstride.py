@@ -1,15 +1,6 @@
 """RobStride motors and the Xiaomi CyberGear in the cycle.
 
-Protocol facts (the CyberGear's manual in belovictor/cybergear-docs; sirwart/robstride; RobStride/Python_Sample):
-extended identifiers, type << 24 | data16 << 8 | receiver. Type 1 is a set-point with gains (position, velocity,
-stiffness, damping: 16 bits each, highest byte first; torque in data16), 17 reads and 18 writes a parameter (index and
-value lowest byte first). All but 17 are answered with type 2: position, velocity, torque, temperature (highest byte
-first), and in the identifier the motor, its faults and whether it runs. A motor sends type 21 by itself when it fails.
-
-Beyond an end of the position field, RobStrides go on at its other end (their manuals of 2026, 4.2.3), other motors stay
-at its end. Parameter 7019 goes on in both, and so does the meaning of 7016. So a motor that is told to stay where such
-a field says would turn by twice the field's range. A field is therefore decoded as the position next to the one that
-was just measured.
+`rtloop.drives.robstride_protocol` says what stands in their frames.
 
 Mode control: the motor follows set-points. It answers each of them with all it measures, so nothing else is asked.
 
@@ -27,21 +18,8 @@ import math
 from compilation.jit import jit
 from config.drives.robstride import CONTROL, READ, TYPE_BIT, WRITE
 from rtloop.drives import following, leading, receiving, words
+from rtloop.drives import robstride_protocol as protocol
 from rtloop.drives.errors import meanings
-from rtloop.drives.robstride_setup import (
-    FAULT,
-    FAULT_BIT,
-    FAULTS,
-    FEEDBACK,
-    MODE_BIT,
-    POSITION,
-    POSITION_TARGET,
-    RUN,
-    SPEED_LIMIT,
-    SPEED_TARGET,
-    VELOCITY,
-    VOLTAGE,
-)
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.state import Loop
@@ -51,20 +29,9 @@ from rtloop.trajectory.limits import clamped_rad
 from rtloop.wire import outgoing
 from shm.layout import StateFile
 
-BITS = 16
-NO_TORQUE = 0x7FFF
-CELSIUS_PER_STEP = 0.1
 FIELD_SHARE = 0.75
 
-FLAG_MEANINGS = meanings(FAULTS, every=0x3F)
-FAULT_MEANINGS = (
-    (0x01, status_bits.OVER_TEMPERATURE),
-    (0x04, status_bits.UNDER_VOLTAGE),
-    (0x08, status_bits.OVER_VOLTAGE),
-    (0x10 | 0x20 | 0x10000, status_bits.OVER_CURRENT),  # of phases B, C and A
-    (0x80, status_bits.ENCODER),
-)
-"""Bits of the word that type 21 says, which has an order of its own."""
+FLAG_MEANINGS = meanings(protocol.FAULTS, every=0x3F)
 
 
 @jit
@@ -77,22 +44,22 @@ def identifier(loop: Loop, joint: int, kind: int, data16: int) -> int:
 def set_point(loop: Loop, joint: int, position: float, velocity: float) -> int:
     """Data of type 1; position and velocity are those of the output shaft (rad, rad/s)."""
     row = loop.joints[joint]
-    place = words.swapped(words.field(position, row.range_rad, BITS), 2)
-    speed = words.swapped(words.field(velocity, row.range_rad_s, BITS), 2)
-    return int(place | speed << 16 | row.gains_word << 32)
+    place = words.placed(protocol.PLACE, words.field(position, row.range_rad, protocol.BITS))
+    speed = words.placed(protocol.SPEED, words.field(velocity, row.range_rad_s, protocol.BITS))
+    return int(place | speed | row.gains_word)
 
 
 @jit
 def parameter(index: int, value: float) -> int:
     """Data of type 18, and with value 0 of type 17."""
-    return int(index | words.float_word(value) << 32)
+    return int(words.placed(protocol.INDEX, index) | words.placed_single(protocol.VALUE, value))
 
 
 @jit
 def send_set_point(loop: Loop, joint: int, shared: StateFile, position: float, velocity: float, stops: int) -> bool:
     """Send a set-point of type 1 (rad and rad/s of the output shaft); False if the transmit buffer has no room."""
-    data = set_point(loop, joint, position, velocity)
-    sent = outgoing.send(loop, shared, identifier(loop, joint, CONTROL, NO_TORQUE), EXTENDED, 8, data, 0, stops)
+    frame_id, data = identifier(loop, joint, CONTROL, protocol.NO_TORQUE), set_point(loop, joint, position, velocity)
+    sent = outgoing.send(loop, shared, frame_id, EXTENDED, 8, data, 0, stops)
     return told(loop, joint, sent)
 
 
@@ -102,9 +69,9 @@ def send_target(loop: Loop, joint: int, shared: StateFile, speed: float, target:
     frame_id = identifier(loop, joint, WRITE, loop.joints[joint].host_id)
     if not outgoing.has_room(loop, 2):
         return False
-    outgoing.send(loop, shared, frame_id, EXTENDED, 8, parameter(SPEED_LIMIT, speed), 1)
+    outgoing.send(loop, shared, frame_id, EXTENDED, 8, parameter(protocol.SPEED_LIMIT, speed), 1)
     receiving.note_question(loop, joint)
-    sent = outgoing.send(loop, shared, frame_id, EXTENDED, 8, parameter(POSITION_TARGET, target), 0, stops)
+    sent = outgoing.send(loop, shared, frame_id, EXTENDED, 8, parameter(protocol.POSITION_TARGET, target), 0, stops)
     return told(loop, joint, sent)
 
 
@@ -165,7 +132,7 @@ def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
     if loop.axes[joint].sent.asked_cycle == loop.timing.cycle:
         return
     frame_id = identifier(loop, joint, READ, loop.joints[joint].host_id)
-    if outgoing.send(loop, shared, frame_id, EXTENDED, 8, POSITION):
+    if outgoing.send(loop, shared, frame_id, EXTENDED, 8, protocol.POSITION):
         receiving.note_question(loop, joint)
 
 
@@ -178,9 +145,9 @@ def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     host_id = loop.joints[joint].host_id
     turn = loop.timing.cycle // loop.params.joint_count
     if loop.axes[joint].sent.asked_cycle == loop.timing.cycle or turn & 1:
-        outgoing.send(loop, shared, identifier(loop, joint, READ, host_id), EXTENDED, 8, VOLTAGE)
+        outgoing.send(loop, shared, identifier(loop, joint, READ, host_id), EXTENDED, 8, protocol.VOLTAGE)
     elif outgoing.send(
-        loop, shared, identifier(loop, joint, WRITE, host_id), EXTENDED, 8, parameter(SPEED_TARGET, 0.0)
+        loop, shared, identifier(loop, joint, WRITE, host_id), EXTENDED, 8, parameter(protocol.SPEED_TARGET, 0.0)
     ):
         receiving.note_question(loop, joint)
 
@@ -194,7 +161,7 @@ def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
 @jit
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
     """Every frame is answered with a position, except a request to read another parameter."""
-    if frame_id >> TYPE_BIT != READ or words.unsigned(data, 0, 2) == POSITION:
+    if frame_id >> TYPE_BIT != READ or words.whole(data, protocol.INDEX) == protocol.POSITION:
         receiving.note_question(loop, joint)
 
 
@@ -206,28 +173,28 @@ def receive(
     said = frame_id >> TYPE_BIT
     if length != 8:
         return
-    if said == FEEDBACK:
+    if said == protocol.FEEDBACK:
         receive_feedback(loop, joint, frame_id, data, time_ns)
-    elif said == READ and (frame_id >> FAULT_BIT) & 0xFF == 0:
-        receive_parameter(loop, joint, words.unsigned(data, 0, 2), words.float_at(data, 4), time_ns)
-    elif said == FAULT and words.unsigned(data, 0, 4) != 0:
-        receiving.receive_status(loop, joint, fault_status(words.unsigned(data, 0, 4)))
+    elif said == READ and (frame_id >> protocol.FAULT_BIT) & 0xFF == 0:
+        receive_parameter(loop, joint, words.whole(data, protocol.INDEX), words.single(data, protocol.VALUE), time_ns)
+    elif said == protocol.FAULT and words.whole(data, protocol.FAULT_WORD) != 0:
+        receiving.receive_status(loop, joint, fault_status(words.whole(data, protocol.FAULT_WORD)))
 
 
 @jit
 def receive_feedback(loop: Loop, joint: int, frame_id: int, data: int, time_ns: int) -> None:
     """Store position, velocity, torque, temperature and status of a feedback."""
     row = loop.joints[joint]
-    position = words.of_field(words.swapped(words.unsigned(data, 0, 2), 2), row.range_rad, BITS)
-    velocity = words.of_field(words.swapped(words.unsigned(data, 2, 2), 2), row.range_rad_s, BITS)
-    torque = words.of_field(words.swapped(words.unsigned(data, 4, 2), 2), row.range_nm, BITS)
+    position = words.of_field(words.whole(data, protocol.PLACE), row.range_rad, protocol.BITS)
+    velocity = words.of_field(words.whole(data, protocol.SPEED), row.range_rad_s, protocol.BITS)
+    torque = words.of_field(words.whole(data, protocol.TORQUE), row.range_nm, protocol.BITS)
     angle = position / row.reading_per_rad - row.zero_rad
     receiving.receive_position(loop, joint, beyond_its_field(loop, joint, angle), time_ns)
     receiving.receive_velocity(loop, joint, velocity / row.reading_per_rad)
     receiving.receive_effort(loop, joint, torque * row.effort_per_unit)
-    celsius = words.signed(words.swapped(words.unsigned(data, 6, 2), 2), 0, 2) * CELSIUS_PER_STEP
-    receiving.receive_temperature(loop, joint, celsius)
-    receiving.receive_status(loop, joint, common_status((frame_id >> MODE_BIT) & 3, (frame_id >> FAULT_BIT) & 0x3F))
+    receiving.receive_temperature(loop, joint, words.quantity(data, protocol.TEMPERATURE_C))
+    mode, faults = (frame_id >> protocol.MODE_BIT) & 3, (frame_id >> protocol.FAULT_BIT) & 0x3F
+    receiving.receive_status(loop, joint, common_status(mode, faults))
 
 
 @jit
@@ -251,21 +218,21 @@ def receive_parameter(loop: Loop, joint: int, index: int, value: float, time_ns:
     row = loop.joints[joint]
     if not math.isfinite(value):
         return
-    if index == POSITION:
+    if index == protocol.POSITION:
         receiving.receive_position(loop, joint, value / row.reading_per_rad - row.zero_rad, time_ns)
-    elif index == VELOCITY:
+    elif index == protocol.VELOCITY:
         receiving.receive_velocity(loop, joint, value / row.reading_per_rad)
-    elif index == VOLTAGE:
+    elif index == protocol.VOLTAGE:
         receiving.receive_voltage(loop, joint, value)
 
 
 @jit
 def common_status(mode: int, faults: int) -> int:
     """State and faults of a feedback in common bits (`memory.status`)."""
-    return words.meaning(faults, FLAG_MEANINGS) | (status_bits.ENABLED if mode == RUN else 0)
+    return words.meaning(faults, FLAG_MEANINGS) | (status_bits.ENABLED if mode == protocol.RUN else 0)
 
 
 @jit
 def fault_status(fault: int) -> int:
     """The word of type 21 in common bits; its other bits are overload and the driver chip."""
-    return words.meaning(fault, FAULT_MEANINGS) | status_bits.PROTECTED
+    return words.meaning(fault, protocol.FAULT_MEANINGS) | status_bits.PROTECTED

@@ -1,4 +1,4 @@
-"""Bring-up and disabling of a RobStride motor or CyberGear; `rtloop.drives.robstride` describes its frames.
+"""Bring-up and disabling of a RobStride motor or CyberGear.
 
 Bring-up reads (nothing moves) the state, by setting the target of the speed mode to 0, which is answered with the state
 in every mode; then the run mode. A motor that runs in control mode is told to hold its position, because its last
@@ -12,7 +12,6 @@ position loop a target at its position, and a speed limit with which it would on
 """
 
 import math
-import struct
 from typing import NamedTuple
 
 import numpy as np
@@ -21,35 +20,18 @@ from config.drives.robstride import CONTROL, ENABLE, FIELD_STEPS, READ, STOP, TY
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives import fields
+from rtloop.drives import robstride_protocol as protocol
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.errors import ErrorBit, error_words
+from rtloop.drives.errors import error_words
+from rtloop.drives.numbers import NO_VALUES, Values, packed, unpacked, unpacked_single
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import answered, let_go, unanswered, without_error, written
-from rtloop.memory import status as status_bits
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
 from rtloop.service.port import Frame
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from shm.words import Unreferenced
 
-FEEDBACK, FAULT = 2, 21
-"""Types of frames that only a motor sends."""
-RUN_MODE, SPEED_TARGET, POSITION_TARGET, SPEED_LIMIT = 0x7005, 0x700A, 0x7016, 0x7017
-POSITION, VELOCITY, VOLTAGE, POSITION_GAIN = 0x7019, 0x701B, 0x701C, 0x701E
-"""Indexes of parameters; values written with type 18 are lost without power."""
-RESET, RUN = 0, 2
-"""Values of bits 22 and 23 of a feedback's identifier; 1 is calibrating."""
-MODE_BIT, FAULT_BIT = 22, 16
-FAULTS = (
-    ErrorBit(0x01, "under-voltage", status_bits.UNDER_VOLTAGE),
-    ErrorBit(0x02, "over-current", status_bits.OVER_CURRENT),
-    ErrorBit(0x04, "over-temperature", status_bits.OVER_TEMPERATURE),
-    ErrorBit(0x08, "magnetic encoder", status_bits.ENCODER),
-    ErrorBit(0x10, "Hall or stall", status_bits.ENCODER),  # a stall on RobStrides
-    ErrorBit(0x20, "uncalibrated", status_bits.ENCODER),
-)
-"""What bits 16 to 21 of a feedback's identifier say."""
-RUN_MODES = {"control": 0, "position": 1, "csp": 5}
 USUAL_POSITION_GAIN_1_S = 30.0
 CREEP_RAD_S = 0.01
 STANDING_RAD_S = 0.03
@@ -67,7 +49,7 @@ class State(NamedTuple):
     @property
     def fault_words(self) -> str:
         """The faults in words."""
-        return error_words(self.faults, FAULTS) if self.faults else ""
+        return error_words(self.faults, protocol.FAULTS) if self.faults else ""
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
@@ -78,7 +60,7 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
     row["range_rad"], row["range_rad_s"] = drive.position_range_rad, drive.velocity_range_rad_s
     row["range_nm"] = drive.torque_range_nm
     if drive.mode == "control":
-        row["gains_word"] = int.from_bytes(_gains(drive), "little")
+        row["gains_word"] = int.from_bytes(packed(_gains(drive)), "little", signed=True)
     else:
         row["position_gain_1_s"] = position_gain_1_s(drive)
         row["silence_deceleration_rad_s2"] = math.inf
@@ -102,18 +84,18 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         joint,
         state,
         lambda state: state.fault_words,
-        lambda: _said(joint, config, _frame(drive, STOP, b"\x01")),
+        lambda: _said(joint, config, _frame(drive, STOP, {protocol.CLEAR: 1})),
         called="fault",
     )
     arming = Arming(host, joint, lambda: _is_running(drive))
-    if (yield from arming.found(state.mode == RUN)) != (state.mode == RUN):  # which was garbled
+    if (yield from arming.found(state.mode == protocol.RUN)) != (state.mode == protocol.RUN):  # which was garbled
         state = yield from _asked_again(joint, config)
-    if state.mode == RUN:
+    if state.mode == protocol.RUN:
         yield from _refuse_another_run_mode(joint, config)
     for _ in range(TRIES):
         standing = held = yield from confirmed(lambda: _where_it_stands(joint, config), SAME_PLACE_RAD * config.ratio)
         _require_within_its_field(joint, config, standing)
-        if state.mode != RUN:
+        if state.mode != protocol.RUN:
             arming.begins()
             yield from _prepare(joint, config, standing)
             state = yield from _enabled(joint, config, standing)
@@ -121,7 +103,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             held = yield from _hold_as_it_is(host, joint, standing)
         else:
             yield from _aim(joint, config, standing)
-        if state.mode == RUN:
+        if state.mode == protocol.RUN:
             break
     else:
         why = f"its faults are {state.fault_words}" if state.faults else f"its state is {state.mode}"
@@ -133,7 +115,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     standing = yield from confirmed(lambda: _where_it_stands(joint, config), SAME_PLACE_RAD * config.ratio)
     if drive.mode != "control":
         hold_rad_s = ERROR_SPEED_SHARE * config.max_velocity_rad_s * config.ratio
-        yield from _said(joint, config, _write(drive, SPEED_LIMIT, hold_rad_s))
+        yield from _said(joint, config, _write(drive, protocol.SPEED_LIMIT, hold_rad_s))
         held = standing
     if drive.knows_its_angle:
         return Found(standing, held)
@@ -148,7 +130,7 @@ def kept_power(host: PowerHost, joint: int) -> Part[bool]:
 def _is_running(drive: RobstrideDrive) -> Part[bool | None]:
     """Whether the motor runs; None if it does not answer."""
     state = yield from _asked_how_it_is(drive)
-    return None if state is None else state.mode == RUN
+    return None if state is None else state.mode == protocol.RUN
 
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
@@ -157,19 +139,19 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
     def told() -> Part[str]:
         state = yield from _said(joint, config, _frame(_drive(config), STOP))
-        return "keeps running" if state.mode == RUN else ""
+        return "keeps running" if state.mode == protocol.RUN else ""
 
     yield from let_go(joint, config, told, "switch the drive off")
 
 
 def _refuse_another_run_mode(joint: int, config: JointConfig) -> Part[None]:
     """Refuse a motor that runs in another run mode, which could only be changed by letting the joint fall."""
-    run_mode = yield from _parameter(joint, config, RUN_MODE, "run mode")
-    wanted = RUN_MODES[_drive(config).mode]
-    if run_mode[0] != wanted:
+    run_mode = unpacked((yield from _parameter(joint, config, protocol.RUN_MODE, "run mode")), protocol.BYTE)
+    wanted = protocol.RUN_MODES[_drive(config).mode]
+    if run_mode != wanted:
         raise DialogueFailed(
             joint,
-            f"The drive of {config.name} runs in run mode {run_mode[0]}, but mode {_drive(config).mode} is run mode "
+            f"The drive of {config.name} runs in run mode {run_mode}, but mode {_drive(config).mode} is run mode "
             f"{wanted}, which is set while it is stopped: end the program that leads it, support the arm, switch the "
             "drive off and on, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
         )
@@ -196,16 +178,17 @@ def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
     """
     config = host.arm.joints[joint]
     drive = _drive(config)
-    answer = yield from answered(joint, config, AskFrames((_write(drive, SPEED_TARGET, 0.0),), _is_feedback), "state")
-    _, speed, torque = struct.unpack_from(">HHH", answer.data)
+    question = AskFrames((_write(drive, protocol.SPEED_TARGET, 0.0),), _is_feedback)
+    answer = yield from answered(joint, config, question, "state")
+    speed, torque = unpacked(answer.data, protocol.SPEED), unpacked(answer.data, protocol.TORQUE)
     held = standing
-    if abs(fields.of_field(speed, drive.velocity_range_rad_s, 16)) <= STANDING_RAD_S:
+    if abs(fields.of_field(speed, drive.velocity_range_rad_s, protocol.BITS)) <= STANDING_RAD_S:
         assert drive.kp is not None
         most = host.arm.limits.following_error_rad * config.ratio
-        held += min(max(fields.of_field(torque, drive.torque_range_nm, 16) / drive.kp, -most), most)
+        held += min(max(fields.of_field(torque, drive.torque_range_nm, protocol.BITS) / drive.kp, -most), most)
     # round to the nearest step, not down: a motor that was holding already gets the same command again
     reach = drive.position_range_rad
-    held = fields.of_field(fields.field(held + reach / FIELD_STEPS, reach, 16), reach, 16)
+    held = fields.of_field(fields.field(held + reach / FIELD_STEPS, reach, protocol.BITS), reach, protocol.BITS)
     yield from _said(joint, config, _hold(drive, held))
     return held
 
@@ -213,17 +196,18 @@ def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
 def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
     """Give a stopped motor its run mode, and the position to hold once it is enabled; raises DialogueFailed."""
     drive = _drive(config)
-    wanted = RUN_MODES[drive.mode]
+    wanted = protocol.RUN_MODES[drive.mode]
     found = yield from written(
-        lambda: _said(joint, config, _frame(drive, WRITE, struct.pack("<HxxB", RUN_MODE, wanted))),
-        lambda: _parameter(joint, config, RUN_MODE, "run mode"),
-        lambda found: found[0] == wanted,
+        lambda: _said(joint, config, _frame(drive, WRITE, {protocol.INDEX: protocol.RUN_MODE, protocol.BYTE: wanted})),
+        lambda: _parameter(joint, config, protocol.RUN_MODE, "run mode"),
+        lambda found: unpacked(found, protocol.BYTE) == wanted,
     )
-    if found[0] != wanted:
+    if unpacked(found, protocol.BYTE) != wanted:
         raise DialogueFailed(
             joint,
-            f"The drive of {config.name} does not take run mode {wanted} (it stays at {found[0]}): mode position is "
-            "for CyberGears, csp for RobStrides; mode control is known to both.",
+            f"The drive of {config.name} does not take run mode {wanted} (it stays at "
+            f"{unpacked(found, protocol.BYTE)}): mode position is for CyberGears, csp for RobStrides; "
+            "mode control is known to both.",
         )
     if drive.mode == "control":
         yield say(_hold(drive, standing))  # a stopped motor need not answer it
@@ -234,7 +218,11 @@ def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
 def _aim(joint: int, config: JointConfig, standing: float) -> Part[None]:
     """Set the motor's position loop to hold its position, with a creeping speed limit; raises DialogueFailed."""
     drive = _drive(config)
-    wanted = {SPEED_LIMIT: CREEP_RAD_S, POSITION_GAIN: position_gain_1_s(drive), POSITION_TARGET: standing}
+    wanted = {
+        protocol.SPEED_LIMIT: CREEP_RAD_S,
+        protocol.POSITION_GAIN: position_gain_1_s(drive),
+        protocol.POSITION_TARGET: standing,
+    }
     for index, value in wanted.items():
         yield from _set(joint, config, index, value)
 
@@ -271,30 +259,30 @@ def _drive(config: JointConfig) -> RobstrideDrive:
     return config.drive
 
 
-def _frame(drive: RobstrideDrive, kind: int, data: bytes = b"", data16: int | None = None) -> Frame:
+def _frame(drive: RobstrideDrive, kind: int, values: Values = NO_VALUES, data16: int | None = None) -> Frame:
     data16 = drive.host_id if data16 is None else data16
-    return Frame(kind << TYPE_BIT | data16 << 8 | drive.motor_id, data.ljust(8, b"\0"))
+    return Frame(kind << TYPE_BIT | data16 << 8 | drive.motor_id, packed(values))
 
 
 def _write(drive: RobstrideDrive, index: int, value: float) -> Frame:
-    return _frame(drive, WRITE, struct.pack("<Hxxf", index, value))
+    return _frame(drive, WRITE, {protocol.INDEX: index, protocol.VALUE: value})
 
 
 def _gain(value: float, most: float) -> int:
     """A number from 0 to `most` as 16 bits."""
-    return fields.field(2.0 * value - most, most, 16)
+    return fields.field(2.0 * value - most, most, protocol.BITS)
 
 
-def _gains(drive: RobstrideDrive) -> bytes:
+def _gains(drive: RobstrideDrive) -> Values:
     assert drive.kp is not None and drive.kd is not None
-    return struct.pack(">HH", _gain(drive.kp, drive.kp_range), _gain(drive.kd, drive.kd_range))
+    return {protocol.STIFFNESS: _gain(drive.kp, drive.kp_range), protocol.DAMPING: _gain(drive.kd, drive.kd_range)}
 
 
 def _hold(drive: RobstrideDrive, standing: float) -> Frame:
     """A set-point at rest, without feed-forward torque."""
-    position = fields.field(standing, drive.position_range_rad, 16)
+    place = fields.field(standing, drive.position_range_rad, protocol.BITS)
     middle = FIELD_STEPS >> 1
-    return _frame(drive, CONTROL, struct.pack(">HH", position, middle) + _gains(drive), data16=middle)
+    return _frame(drive, CONTROL, {protocol.PLACE: place, protocol.SPEED: middle, **_gains(drive)}, data16=middle)
 
 
 def _said(joint: int, config: JointConfig, *frames: Frame) -> Part[State]:
@@ -304,44 +292,43 @@ def _said(joint: int, config: JointConfig, *frames: Frame) -> Part[State]:
 
 def _asked_how_it_is(drive: RobstrideDrive) -> Part[State | None]:
     """Read the motor's state; None if it does not answer."""
-    answer = yield AskFrames((_write(drive, SPEED_TARGET, 0.0),), _is_feedback)
+    answer = yield AskFrames((_write(drive, protocol.SPEED_TARGET, 0.0),), _is_feedback)
     return None if answer is None else _state(answer)
 
 
 def _asked_again(joint: int, config: JointConfig) -> Part[State]:
     """Read the motor's state again; raises DialogueFailed if it no longer answers."""
-    return (yield from _said(joint, config, _write(_drive(config), SPEED_TARGET, 0.0)))
+    return (yield from _said(joint, config, _write(_drive(config), protocol.SPEED_TARGET, 0.0)))
 
 
 def _is_feedback(frame: Frame) -> bool:
-    return frame.id >> TYPE_BIT == FEEDBACK and len(frame.data) == 8
+    return frame.id >> TYPE_BIT == protocol.FEEDBACK and len(frame.data) == 8
 
 
 def _state(frame: Frame) -> State:
-    return State(frame.id >> MODE_BIT & 3, frame.id >> FAULT_BIT & 0x3F)
+    return State(frame.id >> protocol.MODE_BIT & 3, frame.id >> protocol.FAULT_BIT & 0x3F)
 
 
 def _parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[bytes]:
-    """Read the four bytes of a parameter's value; raises DialogueFailed."""
-    request = _frame(_drive(config), READ, struct.pack("<H", index))
+    """Read a parameter: the data of the answer; raises DialogueFailed."""
+    request = _frame(_drive(config), READ, {protocol.INDEX: index})
 
     def is_answer(frame: Frame) -> bool:
         known = frame.id >> 16 & 0xFF == 0  # another value comes from a RobStride that has no such parameter
         return frame.id >> TYPE_BIT == READ and known and len(frame.data) == 8 and frame.data[:2] == request.data[:2]
 
-    return bytes((yield from answered(joint, config, AskFrames((request,), is_answer), what)).data[4:])
+    return bytes((yield from answered(joint, config, AskFrames((request,), is_answer), what)).data)
 
 
 def _number(joint: int, config: JointConfig, index: int, what: str) -> Part[float]:
     """Read a parameter whose value is a float; raises DialogueFailed."""
-    data = yield from _parameter(joint, config, index, what)
-    return float(struct.unpack("<f", data)[0])
+    return unpacked_single((yield from _parameter(joint, config, index, what)), protocol.VALUE)
 
 
 def _where_it_stands(joint: int, config: JointConfig) -> Part[float]:
     """Read the angle of the motor's output shaft (rad); raises DialogueFailed."""
     for _ in range(TRIES):
-        angle = yield from _number(joint, config, POSITION, "position")
+        angle = yield from _number(joint, config, protocol.POSITION, "position")
         if math.isfinite(angle):
             return angle
     raise DialogueFailed(

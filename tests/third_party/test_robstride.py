@@ -6,8 +6,6 @@ It has one client, which sends and waits. Of feedback it knows two models by wha
 Where it and we do not agree is said at the end of this file, with a test that holds what was found.
 """
 
-import struct
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,7 +16,8 @@ from third_party.simulated_bus import LockstepBus
 
 from config.schema import ArmConfig
 from rtloop.drives.robstride import parameter
-from rtloop.drives.robstride_setup import RUN_MODES, _frame, _write
+from rtloop.drives.robstride_protocol import BYTE, INDEX, RUN_MODES
+from rtloop.drives.robstride_setup import _frame, _write
 from sim.drives.robstride import RESET, RUN
 
 START_RAD = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
@@ -163,7 +162,7 @@ def test_our_commands_are_theirs():
     assert ours(_frame(drive, 3)) == said(lambda client: client.enable(3))
     assert ours(_frame(drive, 4)) == said(lambda client: client.disable(3))
     for name, mode in (("control", RunMode.Operation), ("position", RunMode.Position)):
-        frame = _frame(drive, 18, struct.pack("<HxxB", 0x7005, RUN_MODES[name]))
+        frame = _frame(drive, 18, {INDEX: 0x7005, BYTE: RUN_MODES[name]})
         assert ours(frame) == said(lambda client, mode=mode: client.write_param(3, "run_mode", mode))
 
 

@@ -19,7 +19,7 @@ from virtual import START_NS, VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.drives import cia402_setup, damiao_setup, myactuator_setup, robstride_setup
+from rtloop.drives import cia402_setup, damiao_setup, myactuator_setup, robstride_protocol, robstride_setup
 from rtloop.drives.arming import ARMED, Arming, stayed_armed
 from rtloop.drives.myactuator_setup import CLOCK_TOLERANCE, Uptime
 from rtloop.drives.power import Marks
@@ -409,8 +409,8 @@ FIRST_LOOKS = {
     "robstride6": (
         robstride_setup,
         "_asked_how_it_is",
-        lambda state: state._replace(mode=robstride_setup.RESET),
-        lambda state: state._replace(mode=robstride_setup.RUN),
+        lambda state: state._replace(mode=robstride_protocol.RESET),
+        lambda state: state._replace(mode=robstride_protocol.RUN),
     ),
 }
 

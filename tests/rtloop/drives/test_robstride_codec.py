@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from config.errors import ConfigError
 from config.schema import ArmConfig
 from rtloop.drives import robstride_setup
-from rtloop.drives.robstride_setup import RUN_MODES
+from rtloop.drives.robstride_protocol import RUN_MODES
 from rtloop.service.port import Frame
 
 CONTROL, POSITION = (golden("robstride")["joints"][name]["drive"] for name in ("control", "position"))
