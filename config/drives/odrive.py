@@ -10,7 +10,7 @@ from config.bus import BusConfig
 from config.drives.drive import Drive
 from config.frames import CycleFrames, Identifiers, PeriodicFrames, standard
 
-_COMMAND_BITS = 5
+NODE_BIT, COMMAND_MASK = 5, 0x1F
 """An identifier is node << 5 | command."""
 
 
@@ -70,7 +70,7 @@ class OdriveDrive(Drive):
     @property
     def identifiers(self) -> tuple[Identifiers, ...]:
         """All commands of its node: requests and answers share them."""
-        return (standard(self.node_id << _COMMAND_BITS, mask=0x3F << _COMMAND_BITS, from_drive=True),)
+        return (standard(self.node_id << NODE_BIT, mask=0x3F << NODE_BIT, from_drive=True),)
 
     def commands(self, bus: BusConfig) -> tuple[CycleFrames, ...]:
         """Position with velocity ahead (0C)."""

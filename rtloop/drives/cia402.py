@@ -1,32 +1,12 @@
 """CiA 402 in the cycle, in cyclic synchronous position mode: a target to each drive, one SYNC, an answer from each.
 
-Protocol facts (CiA 301 and 402): standard identifiers, a base plus the node's number; little-endian. RPDO1 (200) holds
-controlword and target position, and takes effect with the next SYNC (080). At each SYNC every drive also sends its
-statusword and position (and torque) as TPDO1 (180). The drive moves in a straight line from target to target and
-reaches each one an interpolation time (60C2, the cycle's period) after its SYNC, which is when the next SYNC comes.
-Emergencies (080) hold an error code, heartbeats (700) the node's state.
+`rtloop.drives.cia402_protocol` says what stands in the frames.
 """
 
 from compilation.jit import jit
+from config.drives.cia402 import EMERGENCY, HEARTBEAT, HIGHEST_COUNT, RPDO1, RPDO1_BYTES, SYNC, TPDO1
+from rtloop.drives import cia402_protocol as protocol
 from rtloop.drives import following, receiving, words
-from rtloop.drives.cia402_setup import (
-    BOOT_UP,
-    EMERGENCY,
-    ENABLE_OPERATION,
-    ERRORS,
-    FAULT,
-    FAULT_MASK,
-    FAULT_REACTION,
-    HEARTBEAT,
-    HIGHEST_COUNT,
-    OPERATION_ENABLED,
-    OPERATIONAL,
-    RPDO1,
-    RPDO1_BYTES,
-    STATE_MASK,
-    SYNC,
-    TPDO1,
-)
 from rtloop.drives.errors import code_meanings
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
@@ -37,13 +17,14 @@ from rtloop.wire import outgoing
 from shm.layout import StateFile
 from shm.words import Unreferenced
 
-ERROR_MEANINGS = code_meanings(ERRORS)
+ERROR_MEANINGS = code_meanings(protocol.ERRORS)
 
 
 @jit
 def target_data(counts: int) -> int:
     """Data of RPDO1: the controlword of an enabled drive, and a target in counts."""
-    return ENABLE_OPERATION | (counts & 0xFFFFFFFF) << 16
+    controlword = words.placed(protocol.WANTED_CONTROLWORD, protocol.ENABLE_OPERATION)
+    return int(controlword | words.placed(protocol.WANTED_COUNTS, counts))
 
 
 @jit
@@ -128,24 +109,23 @@ def receive(
     row, axis = loop.joints[joint], loop.axes[joint]
     base = frame_id - row.address
     if base == TPDO1 and length == row.position_bytes:
-        receiving.receive_position(loop, joint, words.signed(data, 2, 4) / row.reading_per_rad - row.zero_rad, time_ns)
-        receiving.receive_status(loop, joint, common_status(words.unsigned(data, 0, 2), axis.drive.error_code))
+        position_rad = words.whole(data, protocol.TOLD_COUNTS) / row.reading_per_rad - row.zero_rad
+        statusword = words.whole(data, protocol.TOLD_STATUSWORD)
+        receiving.receive_position(loop, joint, position_rad, time_ns)
+        receiving.receive_status(loop, joint, common_status(statusword, axis.drive.error_code))
         if row.effort_per_unit != 0.0:
-            receiving.receive_effort(loop, joint, words.signed(data, 6, 2) * row.effort_per_unit)
+            receiving.receive_effort(loop, joint, words.whole(data, protocol.TOLD_TORQUE) * row.effort_per_unit)
     elif base == EMERGENCY and length == 8:
-        axis.drive.error_code = words.unsigned(data, 0, 2)
-    elif base == HEARTBEAT and length == 1 and words.unsigned(data, 0, 1) != OPERATIONAL:
-        lost = (
-            status_bits.POWER_LOST
-            if words.unsigned(data, 0, 1) == BOOT_UP
-            else axis.drive.status & status_bits.POWER_LOST
-        )
+        axis.drive.error_code = words.whole(data, protocol.TOLD_ERROR_CODE)
+    elif base == HEARTBEAT and length == 1 and words.whole(data, protocol.TOLD_NODE_STATE) != protocol.OPERATIONAL:
+        booted = words.whole(data, protocol.TOLD_NODE_STATE) == protocol.BOOT_UP
+        lost = status_bits.POWER_LOST if booted else axis.drive.status & status_bits.POWER_LOST
         receiving.receive_status(loop, joint, status_bits.COMMUNICATION | lost)
 
 
 @jit
 def common_status(statusword: int, error_code: int) -> int:
     """Statusword and the error code of the last emergency, in common bits (`memory.status`)."""
-    if statusword & FAULT_MASK == FAULT or statusword & FAULT_MASK == FAULT_REACTION:
+    if statusword & protocol.FAULT_MASK in (protocol.FAULT, protocol.FAULT_REACTION):
         return status_bits.PROTECTED | words.meaning_of_code(error_code, ERROR_MEANINGS)
-    return status_bits.ENABLED if statusword & STATE_MASK == OPERATION_ENABLED else 0
+    return status_bits.ENABLED if statusword & protocol.STATE_MASK == protocol.OPERATION_ENABLED else 0

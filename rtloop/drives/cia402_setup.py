@@ -21,12 +21,8 @@ import numpy as np
 
 from config.budget import UART_BITS_PER_CHARACTER, budget
 from config.drives.cia402 import (
-    EMERGENCY,
-    HEARTBEAT,
-    HIGHEST_COUNT,
     NMT,
     RPDO1,
-    RPDO1_BYTES,
     SYNC,
     TPDO1,
     Cia402Drive,
@@ -34,70 +30,18 @@ from config.drives.cia402 import (
 from config.frames import CycleFrames
 from config.joint import JointConfig
 from config.schema import ArmConfig
+from rtloop.drives import cia402_protocol as protocol
 from rtloop.drives import pdo
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.errors import ErrorCode, code_words
+from rtloop.drives.errors import code_words
 from rtloop.drives.sdo import ABORT, Aborted, Node, Object, abort_words, reading, value_in
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import unanswered, without_error
-from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import Dialogue, DialogueFailed, Part
 from rtloop.service.port import Frame
 from shm.words import Unreferenced
-
-__all__ = ["EMERGENCY", "HEARTBEAT", "HIGHEST_COUNT", "RPDO1", "RPDO1_BYTES", "SYNC", "TPDO1"]
-
-START_NODE, ENTER_PRE_OPERATIONAL = 0x01, 0x80
-"""Commands to a node (NMT)."""
-BOOT_UP, OPERATIONAL = 0x00, 0x05
-"""States of a node in its heartbeat."""
-
-SHUT_DOWN, SWITCH_ON, ENABLE_OPERATION = 0x06, 0x07, 0x0F
-NO_VOLTAGE, FAULT_RESET, HALT = 0x00, 0x80, 0x010F
-"""Controlwords (6040); the rising edge of bit 7 resets a fault; HALT keeps an enabled drive enabled."""
-
-STATE_MASK, FAULT_MASK = 0x6F, 0x4F
-NOT_READY, SWITCH_ON_DISABLED, READY, SWITCHED_ON = 0x00, 0x40, 0x21, 0x23
-OPERATION_ENABLED, QUICK_STOP, FAULT_REACTION, FAULT = 0x27, 0x07, 0x0F, 0x08
-STATES = (
-    (FAULT_MASK, NOT_READY, "not ready to switch on"),
-    (FAULT_MASK, SWITCH_ON_DISABLED, "switch-on disabled"),
-    (STATE_MASK, READY, "ready to switch on"),
-    (STATE_MASK, SWITCHED_ON, "switched on"),
-    (STATE_MASK, OPERATION_ENABLED, "operation enabled"),
-    (STATE_MASK, QUICK_STOP, "quick stop active"),
-    (FAULT_MASK, FAULT_REACTION, "fault reaction active"),
-    (FAULT_MASK, FAULT, "fault"),
-)
-"""States of the drive in its statusword (6041): mask, value, name."""
-HOLDING = (OPERATION_ENABLED, QUICK_STOP)
-
-CSP = 8
-CSP_SUPPORTED = 1 << 7
-PROFILE = 402
-
-DEVICE_TYPE = Object(0x1000, 0, 4, "device type")
-SYNC_IDENTIFIER = Object(0x1005, 0, 4, "SYNC identifier")
-MONITORED_NODES = Object(0x1016, 0, 1, "number of monitored heartbeats")
-HEARTBEAT_MS = Object(0x1017, 0, 2, "heartbeat time")
-ERROR_CODE = Object(0x603F, 0, 2, "error code")
-CONNECTION_LOST = Object(0x6007, 0, 2, "what a lost connection does", signed=True)
-CONTROLWORD = Object(0x6040, 0, 2, "controlword")
-STATUSWORD = Object(0x6041, 0, 2, "statusword")
-MODE = Object(0x6060, 0, 1, "mode of operation", signed=True)
-MODE_SHOWN = Object(0x6061, 0, 1, "mode of operation shown", signed=True)
-POSITION = Object(0x6064, 0, 4, "position", signed=True)
-TARGET = Object(0x607A, 0, 4, "target position", signed=True)
-INTERPOLATION_TIME = Object(0x60C2, 1, 1, "interpolation time")
-INTERPOLATION_POWER = Object(0x60C2, 2, 1, "interpolation time's power of ten", signed=True)
-MODES = Object(0x6502, 0, 4, "supported modes")
-
-RPDO1_OBJECTS = (0x6040_0010, 0x607A_0020)
-TPDO1_OBJECTS = (0x6041_0010, 0x6064_0020)
-TORQUE_OBJECT = 0x6077_0010
-"""Mapped objects: index, sub-index and size in bits."""
 
 BUSY_S = 2.0
 """Time within which a drive changes its state, opening of a brake included."""
@@ -105,30 +49,6 @@ STANDING_COUNTS = 2
 """Two readings of a drive at rest differ by no more than this."""
 FINEST_POWER, COARSEST_POWER, MOST_UNITS = -6, -2, 255
 """Limits of an interpolation time, which is one byte of units between microseconds and hundredths of a second."""
-
-ERRORS = (
-    ErrorCode(0xF000, 0x1000, "a general error"),
-    ErrorCode(0xF000, 0x2000, "current", status_bits.OVER_CURRENT),
-    ErrorCode(0xF0F0, 0x3010, "over-voltage", status_bits.OVER_VOLTAGE),
-    ErrorCode(0xF0F0, 0x3020, "under-voltage", status_bits.UNDER_VOLTAGE),
-    ErrorCode(0xF000, 0x3000, "voltage"),
-    ErrorCode(0xF0F0, 0x4020, "too cold"),
-    ErrorCode(0xF000, 0x4000, "over-temperature", status_bits.OVER_TEMPERATURE),
-    ErrorCode(0xFFF0, 0x5110, "the drive's electronics", status_bits.UNDER_VOLTAGE),  # their supply
-    ErrorCode(0xF000, 0x5000, "the drive's electronics"),
-    ErrorCode(0xF000, 0x6000, "the drive's software"),
-    ErrorCode(0xFFFF, 0x7121, "motor blocked", status_bits.STALLED),
-    ErrorCode(0xFF00, 0x7300, "sensor", status_bits.ENCODER),
-    ErrorCode(0xFF00, 0x7500, "communication", status_bits.COMMUNICATION),
-    ErrorCode(0xF000, 0x7000, "a module beside the drive"),
-    ErrorCode(0xFF00, 0x8000, "monitoring"),
-    ErrorCode(0xFF00, 0x8100, "communication", status_bits.COMMUNICATION),
-    ErrorCode(0xFF00, 0x8200, "communication", status_bits.COMMUNICATION),
-    ErrorCode(0xFFFF, 0x8611, "following error", status_bits.STALLED),
-    ErrorCode(0xF000, 0x8000, "control"),
-    ErrorCode(0xF000, 0xF000, "an error of its own kind"),
-)
-"""Error codes by the first that fits (CiA 301, emergencies; CiA 402, object 603F)."""
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
@@ -148,24 +68,24 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     yield from _is_a_drive(host, node)
     state = yield from _sound_state(host, node)
     arming = Arming(host, joint, lambda: _is_enabled(node))
-    enabled = state == OPERATION_ENABLED
+    enabled = state == protocol.OPERATION_ENABLED
     if (yield from arming.found(enabled)) != enabled:  # which was garbled
         state = yield from _sound_state(host, node)
-    holds = state in HOLDING
-    if holds and (yield from node.read(MODE_SHOWN)) != CSP:
+    holds = state in protocol.HOLDING
+    if holds and (yield from node.read(protocol.MODE_SHOWN)) != protocol.CSP:
         yield from _halt(host.arm, node)
     yield from _map(node, _drive(config), holds)
     yield from _set_up(host, node)
     yield from _start(host.arm, node)
-    if not holds or (yield from node.read(MODE_SHOWN)) != CSP:
+    if not holds or (yield from node.read(protocol.MODE_SHOWN)) != protocol.CSP:
         yield from _target_here(node)
-        yield from node.write(MODE, CSP)
+        yield from node.write(protocol.MODE, protocol.CSP)
         yield from _until_csp(host.arm, node)
-    if state != OPERATION_ENABLED:
+    if state != protocol.OPERATION_ENABLED:
         arming.begins()
         yield from _enable(host.arm, node, state)
-    elif (yield from node.read(CONTROLWORD)) != ENABLE_OPERATION:
-        yield from node.write(CONTROLWORD, ENABLE_OPERATION)
+    elif (yield from node.read(protocol.CONTROLWORD)) != protocol.ENABLE_OPERATION:
+        yield from node.write(protocol.CONTROLWORD, protocol.ENABLE_OPERATION)
     found = yield from _standing(host, node)
     if found.reason == Unreferenced.REFERENCED:
         return found
@@ -180,19 +100,19 @@ def kept_power(host: PowerHost, joint: int) -> Part[bool]:
 
 def _is_enabled(node: Node) -> Part[bool | None]:
     """Whether the drive's operation is enabled; None if it does not answer that."""
-    reply = yield reading(node.number, STATUSWORD)
+    reply = yield reading(node.number, protocol.STATUSWORD)
     if reply is None or reply.data[0] == ABORT:
         return None
-    return state_of(value_in(reply, STATUSWORD)) == OPERATION_ENABLED
+    return state_of(value_in(reply, protocol.STATUSWORD)) == protocol.OPERATION_ENABLED
 
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
     """Shut the drive down, and then disable it so far that no target enables it; raises DialogueFailed."""
     node = Node(joint, arm.joints[joint])
-    for word in (SHUT_DOWN, NO_VOLTAGE):
-        yield from node.write(CONTROLWORD, word)
-        state = yield from _until(arm, node, lambda state: state not in HOLDING)
-        if state in HOLDING:
+    for word in (protocol.SHUT_DOWN, protocol.NO_VOLTAGE):
+        yield from node.write(protocol.CONTROLWORD, word)
+        state = yield from _until(arm, node, lambda state: state not in protocol.HOLDING)
+        if state in protocol.HOLDING:
             raise DialogueFailed(
                 joint,
                 f"The drive of {node.config.name} stays in the state {state_words(state)} after being told to let go: "
@@ -203,17 +123,17 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 def state_of(statusword: int) -> int:
     """The state in a statusword; NOT_READY if it holds none of the known states."""
-    return next((value for mask, value, _ in STATES if statusword & mask == value), NOT_READY)
+    return next((value for mask, value, _ in protocol.STATES if statusword & mask == value), protocol.NOT_READY)
 
 
 def state_words(state: int) -> str:
     """A state in words."""
-    return next(words for _, value, words in STATES if value == state)
+    return next(words for _, value, words in protocol.STATES if value == state)
 
 
 def error_words(code: int) -> str:
     """An error code (603F) in words."""
-    return f"{code_words(code, ERRORS) or 'none that is known'}, error code {code:04X}"
+    return f"{code_words(code, protocol.ERRORS) or 'none that is known'}, error code {code:04X}"
 
 
 def interpolation_time(period_s: float) -> tuple[int, int]:
@@ -266,22 +186,23 @@ def _order(node: Node, order: int) -> Frame:
 def _is_a_drive(host: Host, node: Node) -> Part[None]:
     """Check that the node answers and is a CiA 402 drive with CSP; a stopped node answers only once it is started."""
     name = node.config.name
-    answer = yield reading(node.number, DEVICE_TYPE)
+    answer = yield reading(node.number, protocol.DEVICE_TYPE)
     if answer is None:
-        yield say(_order(node, START_NODE))
-        answer = yield reading(node.number, DEVICE_TYPE)
+        yield say(_order(node, protocol.START_NODE))
+        answer = yield reading(node.number, protocol.DEVICE_TYPE)
     if answer is None:
         rate = f"its node number and bit rate ({host.arm.bus.bitrate} bit/s)"
         raise unanswered(node.joint, node.config, f"node {node.number}", rate)
-    device = value_in(answer, DEVICE_TYPE)
-    if device & 0xFFFF != PROFILE:
+    device = value_in(answer, protocol.DEVICE_TYPE)
+    if device & 0xFFFF != protocol.PROFILE:
         raise DialogueFailed(
             node.joint,
-            f"Node {node.number}, where the drive of {name} should be, has the device type {device:#010x}, whose lower "
-            f"half must be {PROFILE:#06x} (profile CiA 402): see what stands at that number, or correct node_id.",
+            f"Node {node.number}, where the drive of {name} should be, has the device type {device:#010x}, whose "
+            f"lower half must be {protocol.PROFILE:#06x} (profile CiA 402): see what stands at that number, or correct "
+            "node_id.",
         )
-    modes = yield from node.read_if_there(MODES)
-    if modes is not None and not modes & CSP_SUPPORTED:
+    modes = yield from node.read_if_there(protocol.MODES)
+    if modes is not None and not modes & protocol.CSP_SUPPORTED:
         raise DialogueFailed(
             node.joint,
             f"The drive of {name} cannot do cyclic synchronous position, which is bit 7 of its supported modes (object "
@@ -291,22 +212,26 @@ def _is_a_drive(host: Host, node: Node) -> Part[None]:
 
 def _sound_state(host: Host, node: Node) -> Part[int]:
     """The drive's state, which is no fault: a fault is cleared if the operator asked for that, else it raises."""
-    state = yield from _until(host.arm, node, lambda state: state not in (NOT_READY, FAULT_REACTION))
-    if state not in (FAULT, FAULT_REACTION):
+    state = yield from _until(host.arm, node, lambda state: state not in (protocol.NOT_READY, protocol.FAULT_REACTION))
+    if state not in (protocol.FAULT, protocol.FAULT_REACTION):
         return state
-    why = error_words((yield from node.read_if_there(ERROR_CODE)) or 0)
+    why = error_words((yield from node.read_if_there(protocol.ERROR_CODE)) or 0)
 
     def cleared() -> Part[int]:
-        yield from node.write(CONTROLWORD, NO_VOLTAGE)
-        yield from node.write(CONTROLWORD, FAULT_RESET)
-        return (yield from _until(host.arm, node, lambda state: state not in (NOT_READY, FAULT, FAULT_REACTION)))
+        yield from node.write(protocol.CONTROLWORD, protocol.NO_VOLTAGE)
+        yield from node.write(protocol.CONTROLWORD, protocol.FAULT_RESET)
+        return (
+            yield from _until(
+                host.arm, node, lambda state: state not in (protocol.NOT_READY, protocol.FAULT, protocol.FAULT_REACTION)
+            )
+        )
 
     return (
         yield from without_error(
             host,
             node.joint,
             state,
-            lambda state: why if state in (FAULT, FAULT_REACTION) else "",
+            lambda state: why if state in (protocol.FAULT, protocol.FAULT_REACTION) else "",
             cleared,
             find="find it with the drive's own program",
             tries=1,
@@ -321,20 +246,20 @@ def _looks(arm: ArmConfig, duration_s: float) -> int:
 
 def _until(arm: ArmConfig, node: Node, wanted: Callable[[int], bool]) -> Part[int]:
     """Read the drive's state until it is as wanted, or for about BUSY_S; the last state."""
-    state = state_of((yield from node.read(STATUSWORD)))
+    state = state_of((yield from node.read(protocol.STATUSWORD)))
     for _ in range(_looks(arm, BUSY_S)):
         if wanted(state):
             break
-        state = state_of((yield from node.read(STATUSWORD)))
+        state = state_of((yield from node.read(protocol.STATUSWORD)))
     return state
 
 
 def _halt(arm: ArmConfig, node: Node) -> Part[None]:
     """Halt a drive that is enabled in another mode, so that it comes to rest and holds."""
-    yield from node.write(CONTROLWORD, HALT)
-    before = yield from node.read(POSITION)
+    yield from node.write(protocol.CONTROLWORD, protocol.HALT)
+    before = yield from node.read(protocol.POSITION)
     for _ in range(_looks(arm, arm.patience.drives_s)):
-        here = yield from node.read(POSITION)
+        here = yield from node.read(protocol.POSITION)
         if abs(here - before) <= STANDING_COUNTS:
             return
         before = here
@@ -347,15 +272,17 @@ def _halt(arm: ArmConfig, node: Node) -> Part[None]:
 
 def _map(node: Node, drive: Cia402Drive, holds: bool) -> Part[None]:
     """Map what the cycle sends into RPDO1 and what it reads into TPDO1, and turn the other predefined PDOs off."""
-    told = TPDO1_OBJECTS if drive.rated_torque_nm is None else (*TPDO1_OBJECTS, TORQUE_OBJECT)
-    wanted = ((pdo.RECEIVED, RPDO1 + node.number, RPDO1_OBJECTS), (pdo.TOLD, TPDO1 + node.number, told))
+    told = (
+        protocol.TPDO1_OBJECTS if drive.rated_torque_nm is None else (*protocol.TPDO1_OBJECTS, protocol.TORQUE_OBJECT)
+    )
+    wanted = ((pdo.RECEIVED, RPDO1 + node.number, protocol.RPDO1_OBJECTS), (pdo.TOLD, TPDO1 + node.number, told))
     try:
         fitting = True
         for first, identifier, objects in wanted:
             fitting = fitting and (yield from pdo.fits(node, first, identifier, objects))
         if not fitting:
             if not holds:
-                yield say(_order(node, ENTER_PRE_OPERATIONAL))
+                yield say(_order(node, protocol.ENTER_PRE_OPERATIONAL))
             for first, identifier, objects in wanted:
                 yield from pdo.map_anew(node, first, identifier, objects)
         for first in (pdo.RECEIVED, pdo.TOLD):
@@ -374,12 +301,12 @@ def _map(node: Node, drive: Cia402Drive, holds: bool) -> Part[None]:
 
 def _set_up(host: Host, node: Node) -> Part[None]:
     """Set the SYNC identifier, heartbeat and interpolation time, and make the drive hold when the host is silent."""
-    yield from node.ensure(SYNC_IDENTIFIER, SYNC)
-    yield from node.ensure(HEARTBEAT_MS, _drive(node.config).heartbeat_ms)
-    for number in range(1, ((yield from node.read_if_there(MONITORED_NODES)) or 0) + 1):
-        yield from node.ensure(Object(MONITORED_NODES.index, number, 4, "monitored heartbeat"), 0)
+    yield from node.ensure(protocol.SYNC_IDENTIFIER, SYNC)
+    yield from node.ensure(protocol.HEARTBEAT_MS, _drive(node.config).heartbeat_ms)
+    for number in range(1, ((yield from node.read_if_there(protocol.MONITORED_NODES)) or 0) + 1):
+        yield from node.ensure(Object(protocol.MONITORED_NODES.index, number, 4, "monitored heartbeat"), 0)
     try:
-        yield from node.ensure(CONNECTION_LOST, 0)
+        yield from node.ensure(protocol.CONNECTION_LOST, 0)
     except Aborted as aborted:
         host.tell(
             f"{node.config.name}: its drive keeps what it does when its connection is lost (object 6007, "
@@ -391,19 +318,19 @@ def _set_up(host: Host, node: Node) -> Part[None]:
 def _set_interpolation_time(host: Host, node: Node) -> Part[None]:
     units, power = interpolation_time(host.arm.control.period_ns * 1e-9)
     shown = f"{units * 10.0 ** (power + 3):g} ms"
-    found = yield from node.read_if_there(INTERPOLATION_TIME)
+    found = yield from node.read_if_there(protocol.INTERPOLATION_TIME)
     if found is None:
         host.tell(
             f"{node.config.name}: its drive has no interpolation time (object 60C2); see in its manual how it is told "
             f"that targets come every {shown}."
         )
         return
-    found_power = yield from node.read(INTERPOLATION_POWER)
+    found_power = yield from node.read(protocol.INTERPOLATION_POWER)
     if math.isclose(found * 10.0**found_power, units * 10.0**power):
         return
     try:
-        yield from node.write(INTERPOLATION_TIME, units)
-        yield from node.write(INTERPOLATION_POWER, power)
+        yield from node.write(protocol.INTERPOLATION_TIME, units)
+        yield from node.write(protocol.INTERPOLATION_POWER, power)
     except Aborted as aborted:
         raise DialogueFailed(
             node.joint,
@@ -417,7 +344,8 @@ def _start(arm: ArmConfig, node: Node) -> Part[None]:
     """Start the node, and check that its TPDO1 comes: the cycle sends SYNCs all the while."""
     length = _drive(node.config).tpdo1_bytes
     started = AskFrames(
-        (_order(node, START_NODE),), lambda frame: frame.id == TPDO1 + node.number and len(frame.data) == length
+        (_order(node, protocol.START_NODE),),
+        lambda frame: frame.id == TPDO1 + node.number and len(frame.data) == length,
     )
     if (yield started) is None:
         raise DialogueFailed(
@@ -429,40 +357,46 @@ def _start(arm: ArmConfig, node: Node) -> Part[None]:
 
 def _target_here(node: Node) -> Part[None]:
     """Set the drive's target to its measured position."""
-    yield from node.write(TARGET, (yield from _place(node)))
+    yield from node.write(protocol.TARGET, (yield from _place(node)))
 
 
 def _place(node: Node) -> Part[int]:
     """The drive's measured position (counts), read until two readings agree."""
-    return (yield from confirmed(lambda: node.read(POSITION), SAME_PLACE_RAD * node.config.encoder_counts_per_rad))
+    return (
+        yield from confirmed(lambda: node.read(protocol.POSITION), SAME_PLACE_RAD * node.config.encoder_counts_per_rad)
+    )
 
 
 def _until_csp(arm: ArmConfig, node: Node) -> Part[None]:
-    shown = CSP
+    shown = protocol.CSP
     for _ in range(_looks(arm, arm.patience.drives_s)):
-        shown = yield from node.read(MODE_SHOWN)
-        if shown == CSP:
+        shown = yield from node.read(protocol.MODE_SHOWN)
+        if shown == protocol.CSP:
             return
     raise DialogueFailed(
         node.joint,
-        f"The drive of {node.config.name} stays in mode {shown} (object 6061) after it was told mode {CSP}, cyclic "
-        "synchronous position: see in its manual what hinders that.",
+        f"The drive of {node.config.name} stays in mode {shown} (object 6061) after it was told mode {protocol.CSP}, "
+        "cyclic synchronous position: see in its manual what hinders that.",
     )
 
 
 def _enable(arm: ArmConfig, node: Node, state: int) -> Part[None]:
     """Enable the drive state by state; its target is set to its measured position right before the last step."""
-    steps = ((SHUT_DOWN, READY), (SWITCH_ON, SWITCHED_ON), (ENABLE_OPERATION, OPERATION_ENABLED))
-    for word, wanted in steps[2:] if state == QUICK_STOP else steps:
-        if word == ENABLE_OPERATION:
+    steps = (
+        (protocol.SHUT_DOWN, protocol.READY),
+        (protocol.SWITCH_ON, protocol.SWITCHED_ON),
+        (protocol.ENABLE_OPERATION, protocol.OPERATION_ENABLED),
+    )
+    for word, wanted in steps[2:] if state == protocol.QUICK_STOP else steps:
+        if word == protocol.ENABLE_OPERATION:
             yield from _target_here(node)
-        yield from node.write(CONTROLWORD, word)
-        state = yield from _until(arm, node, (wanted, FAULT).__contains__)
+        yield from node.write(protocol.CONTROLWORD, word)
+        state = yield from _until(arm, node, (wanted, protocol.FAULT).__contains__)
         if state == wanted:
             continue
         why = ""
-        if state == FAULT:
-            why = f" ({error_words((yield from node.read_if_there(ERROR_CODE)) or 0)})"
+        if state == protocol.FAULT:
+            why = f" ({error_words((yield from node.read_if_there(protocol.ERROR_CODE)) or 0)})"
         raise DialogueFailed(
             node.joint,
             f"The drive of {node.config.name} is in the state {state_words(state)}{why} after being told to go to "
@@ -476,8 +410,8 @@ def _standing(host: Host, node: Node) -> Part[Found]:
     drive = _drive(node.config)
     most = host.arm.limits.following_error_rad * node.config.encoder_counts_per_rad
     here = yield from _place(node)
-    target = yield from node.read(TARGET)
+    target = yield from node.read(protocol.TARGET)
     if abs(target - here) > most:
-        yield from node.write(TARGET, here)
+        yield from node.write(protocol.TARGET, here)
         target = here
     return Found(here, target, Unreferenced.REFERENCED if drive.knows_its_angle else Unreferenced.INCREMENTAL)

@@ -1,21 +1,16 @@
 """Damiao motors in the cycle: they follow set-points (mode mit) or go to targets (mode position_velocity).
 
-Protocol facts (damiao-motor 1.0.6; the makers' DM-J4310-2EC manual): standard identifiers. A command of mode mit goes
-to the motor's ID and packs, the highest bits first, position (16 bits), velocity, stiffness, damping and torque (12
-each). A command of mode position_velocity goes to that ID + 100 (hex) and holds two little-endian floats (rad, rad/s).
-Both are answered by feedback on the motor's master ID: status and the motor's ID in four bits each, position, velocity
-and torque packed likewise, then the temperatures of power stage and rotor. Registers are accessed through 7FF: the
-motor's ID, operation (CC requests the same feedback and moves nothing), register, value; answers come on the master ID
-too, in the same form.
+`rtloop.drives.damiao_protocol` says what stands in their frames.
 """
 
 import math
 
 from compilation.jit import jit
 from config.drives.damiao import HIGHEST_KD, HIGHEST_KP, POSITION_VELOCITY_OFFSET, REGISTERS_ID
+from rtloop.drives import damiao_protocol as protocol
 from rtloop.drives import following, leading, receiving, words
-from rtloop.drives.damiao_setup import ENABLED, ERRORS, FEEDBACK, LIMP, READ, STORE, WRITE
 from rtloop.drives.errors import code_meanings
+from rtloop.drives.numbers import Bits
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import JointParams
 from rtloop.memory.frame_words import STANDARD
@@ -25,26 +20,24 @@ from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from rtloop.wire import outgoing
 from shm.layout import StateFile
 
-ERROR_MEANINGS = code_meanings(ERRORS)
+ERROR_MEANINGS = code_meanings(protocol.ERRORS)
 
 
 @jit
 def setpoint_data(row: JointParams, rad: float, rad_s: float, nm: float) -> int:
     """Data of a command of mode mit, for the motor's shaft; `row` has the fields' ranges, stiffness and damping."""
-    packed = words.field(rad, row.range_rad, 16) << 48
-    packed |= words.field(rad_s, row.range_rad_s, 12) << 36
+    data = words.placed_field(protocol.PLACE, rad, row.range_rad)
+    data |= words.placed_field(protocol.SPEED, rad_s, row.range_rad_s)
     # stiffness and damping are the upper halves of ranges that begin at 0
-    packed |= words.field(2.0 * row.stiffness_nm_rad - HIGHEST_KP, HIGHEST_KP, 12) << 24
-    packed |= words.field(2.0 * row.damping_nm_s_rad - HIGHEST_KD, HIGHEST_KD, 12) << 12
-    packed |= words.field(nm, row.range_nm, 12)
-    last = words.swapped(packed & 0xFFFFFFFF, 4)
-    return words.swapped(packed >> 32 & 0xFFFFFFFF, 4) | words.signed(last, 0, 4) << 32
+    data |= words.placed_field(protocol.STIFFNESS, 2.0 * row.stiffness_nm_rad - HIGHEST_KP, HIGHEST_KP)
+    data |= words.placed_field(protocol.DAMPING, 2.0 * row.damping_nm_s_rad - HIGHEST_KD, HIGHEST_KD)
+    return int(data | words.placed_field(protocol.TORQUE, nm, row.range_nm))
 
 
 @jit
 def target_data(rad: float, rad_s: float) -> int:
     """Data of a command of mode position_velocity: target and highest speed of the motor's shaft."""
-    return words.float_word(rad) | words.float_word(rad_s) << 32
+    return int(words.placed_single(protocol.TARGET, rad) | words.placed_single(protocol.HIGHEST_SPEED, rad_s))
 
 
 @jit
@@ -54,9 +47,15 @@ def following_data(row: JointParams, rad: float, rad_s: float) -> int:
     Position and velocity are rounded down to whole steps, which would tug at the joint at every step. The steps of the
     torque field are finer than the stiffness times a step of position.
     """
-    lost_rad = rad - words.of_field(words.field(rad, row.range_rad, 16), row.range_rad, 16)
-    lost_rad_s = rad_s - words.of_field(words.field(rad_s, row.range_rad_s, 12), row.range_rad_s, 12)
+    lost_rad = rad - rounded(protocol.PLACE, rad, row.range_rad)
+    lost_rad_s = rad_s - rounded(protocol.SPEED, rad_s, row.range_rad_s)
     return setpoint_data(row, rad, rad_s, row.stiffness_nm_rad * lost_rad + row.damping_nm_s_rad * lost_rad_s)
+
+
+@jit
+def rounded(where: Bits, value: float, most: float) -> float:
+    """What a motor takes a number for that was put into a field."""
+    return words.field_at(words.placed_field(where, value, most), where, most)
 
 
 @jit
@@ -121,7 +120,8 @@ def command(loop: Loop, joint: int, shared: StateFile, frame_id: int, data: int,
 def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
     if loop.axes[joint].sent.asked_cycle == loop.timing.cycle:
         return
-    data = loop.joints[joint].address | FEEDBACK << 16
+    data = words.placed(protocol.OWNER, loop.joints[joint].address)
+    data |= words.placed(protocol.OPERATION, protocol.FEEDBACK)
     if outgoing.send(loop, shared, REGISTERS_ID, STANDARD, 8, data):
         receiving.note_question(loop, joint)
 
@@ -140,7 +140,7 @@ def is_stop(loop: Loop, joint: int, frame_id: int, data: int) -> bool:
 @jit
 def note_what_was_said(loop: Loop, joint: int, frame_id: int, data: int) -> None:
     """Every frame except those about registers is answered with feedback, which holds a position."""
-    if frame_id != REGISTERS_ID or words.unsigned(data, 2, 1) == FEEDBACK:
+    if frame_id != REGISTERS_ID or words.whole(data, protocol.OPERATION) == protocol.FEEDBACK:
         receiving.note_question(loop, joint)
 
 
@@ -150,17 +150,17 @@ def receive(
 ) -> None:
     """Store position, velocity, torque, temperature and status of a feedback."""
     row = loop.joints[joint]
-    if length != 8 or tells_a_register(row.address, data) or data & 15 != row.address:
+    if length != 8 or tells_a_register(row.address, data) or words.bits(data, protocol.MOTOR) != row.address:
         return
-    fields = words.swapped(data, 8)
-    rad = words.of_field(fields >> 40 & 0xFFFF, row.range_rad, 16)
-    rad_s = words.of_field(fields >> 28 & 0xFFF, row.range_rad_s, 12)
-    nm = words.of_field(fields >> 16 & 0xFFF, row.range_nm, 12)
+    rad = words.field_at(data, protocol.TOLD_PLACE, row.range_rad)
+    rad_s = words.field_at(data, protocol.TOLD_SPEED, row.range_rad_s)
+    nm = words.field_at(data, protocol.TOLD_TORQUE, row.range_nm)
     receiving.receive_position(loop, joint, rad / row.reading_per_rad - row.zero_rad, time_ns)
     receiving.receive_velocity(loop, joint, rad_s / row.reading_per_rad)
     receiving.receive_effort(loop, joint, nm * row.effort_per_unit)
-    receiving.receive_temperature(loop, joint, float(max(fields >> 8 & 255, fields & 255)))
-    receiving.receive_status(loop, joint, common_status(data >> 4 & 15))
+    hottest_c = max(words.whole(data, protocol.STAGE_C), words.whole(data, protocol.ROTOR_C))
+    receiving.receive_temperature(loop, joint, float(hottest_c))
+    receiving.receive_status(loop, joint, common_status(words.bits(data, protocol.CODE)))
 
 
 @jit
@@ -170,14 +170,14 @@ def tells_a_register(address: int, data: int) -> bool:
     Such an answer begins with the motor's whole ID and an operation. Feedback of a motor that stands on one of three
     steps in the lowest hundredth of its range could begin in the same way; it is then ignored.
     """
-    operation = words.unsigned(data, 2, 1)
-    ours = data & 0xFFFF == address
-    return bool(ours and operation in (READ, WRITE, STORE))
+    operation = words.whole(data, protocol.OPERATION)
+    ours = words.whole(data, protocol.OWNER) == address
+    return bool(ours and operation in (protocol.READ, protocol.WRITE, protocol.STORE))
 
 
 @jit
 def common_status(code: int) -> int:
     """The status code of a feedback in common bits (`memory.status`): 0 is disabled, 1 enabled, others are errors."""
-    if code == ENABLED:
+    if code == protocol.ENABLED:
         return status_bits.ENABLED
-    return 0 if code == LIMP else status_bits.PROTECTED | words.meaning_of_code(code, ERROR_MEANINGS)
+    return 0 if code == protocol.LIMP else status_bits.PROTECTED | words.meaning_of_code(code, ERROR_MEANINGS)

@@ -20,7 +20,6 @@ set to 0, until the power is lost.
 """
 
 import math
-import struct
 from typing import NamedTuple
 
 import numpy as np
@@ -36,41 +35,26 @@ from config.drives.damiao import (
 )
 from config.joint import JointConfig
 from config.schema import ArmConfig
+from rtloop.drives import damiao_protocol as protocol
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.errors import ErrorCode, code_words
+from rtloop.drives.damiao_protocol import Register
+from rtloop.drives.errors import code_words
 from rtloop.drives.fields import field, of_field
+from rtloop.drives.numbers import NO_VALUES, Values, packed, unpacked
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import answered, let_go, unanswered, without_error, written
-from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
 from rtloop.service.port import Frame
 from rtloop.trajectory.correction import ERROR_SPEED_SHARE
 from shm.words import Unreferenced
 
-READ, WRITE, STORE, FEEDBACK = 0x33, 0x55, 0xAA, 0xCC
-"""Operations of frames on 7FF."""
-CLEAR_ERROR, ENABLE, DISABLE = 0xFB, 0xFC, 0xFD
-"""Last byte of a command whose other bytes are FF."""
-
-LIMP, ENABLED = 0, 1
-ERRORS = (
-    ErrorCode(0xF, 8, "over-voltage", status_bits.OVER_VOLTAGE),
-    ErrorCode(0xF, 9, "under-voltage", status_bits.UNDER_VOLTAGE),
-    ErrorCode(0xF, 10, "over-current", status_bits.OVER_CURRENT),
-    ErrorCode(0xF, 11, "power stage too hot", status_bits.OVER_TEMPERATURE),
-    ErrorCode(0xF, 12, "motor too hot", status_bits.OVER_TEMPERATURE),
-    ErrorCode(0xF, 13, "communication lost", status_bits.COMMUNICATION),
-    ErrorCode(0xF, 14, "overload", status_bits.OVER_CURRENT),
+RANGES = (
+    (protocol.PMAX, "PMAX", "position", "rad"),
+    (protocol.VMAX, "VMAX", "velocity", "rad/s"),
+    (protocol.TMAX, "TMAX", "torque", "N·m"),
 )
-"""Status codes of the feedback; every other than these two and those is an error without a name."""
-
-ACC, DEC, TIMEOUT, CONTROL_MODE, PMAX, VMAX, TMAX = 4, 5, 9, 10, 21, 22, 23
-"""Registers (table of damiao-motor 1.0.6): ramps (rad/s², negative for braking), alarm time, mode, ranges."""
-TIMEOUT_UNIT_S = 50e-6
-MODES = {"mit": 1, "position_velocity": 2}
-RANGES = ((PMAX, "PMAX", "position", "rad"), (VMAX, "VMAX", "velocity", "rad/s"), (TMAX, "TMAX", "torque", "N·m"))
 RANGE_FIELDS = ("position_range_rad", "velocity_range_rad_s", "torque_range_nm")
 SAME = 1e-4
 """Relative difference below which two values of a register are the same one, rounded (12.566 is 4π)."""
@@ -105,18 +89,18 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     found = yield from _sound(host, joint)
     yield from _check_ranges(joint, config)
     _require_within_its_field(joint, config, found.rad)
-    yield from _set_up(host, joint, enabled=found.code == ENABLED)
+    yield from _set_up(host, joint, enabled=found.code == protocol.ENABLED)
     arming = Arming(host, joint, lambda: _is_enabled(config))
     for _ in range(TRIES):
         found = yield from _confirmed_feedback(joint, config)
         stay = _stay(config, found, host.arm.limits.following_error_rad * config.ratio)
-        if (yield from arming.found(found.code == ENABLED)):
+        if (yield from arming.found(found.code == protocol.ENABLED)):
             yield say(stay)
         else:
             arming.begins()
-            yield say(stay, _command(drive, ENABLE), stay)
+            yield say(stay, _command(drive, protocol.ENABLE), stay)
         found = yield from _confirmed_feedback(joint, config)
-        if found.code == ENABLED:
+        if found.code == protocol.ENABLED:
             break
     else:
         raise DialogueFailed(
@@ -139,7 +123,7 @@ def kept_power(host: PowerHost, joint: int) -> Part[bool]:
 def _is_enabled(config: JointConfig) -> Part[bool | None]:
     """Whether the motor is enabled; None if it does not answer."""
     answer = yield _asked(config)
-    return None if answer is None else feedback_of(answer.data, _drive(config).ranges).code == ENABLED
+    return None if answer is None else feedback_of(answer.data, _drive(config).ranges).code == protocol.ENABLED
 
 
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
@@ -147,34 +131,37 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
     config = arm.joints[joint]
 
     def told() -> Part[str]:
-        yield say(_command(_drive(config), DISABLE))
-        return "stays enabled" if (yield from _feedback(joint, config)).code == ENABLED else ""
+        yield say(_command(_drive(config), protocol.DISABLE))
+        return "stays enabled" if (yield from _feedback(joint, config)).code == protocol.ENABLED else ""
 
     yield from let_go(joint, config, told, "switch the drive off, then on")
 
 
 def status_words(code: int) -> str:
     """A status code in words."""
-    return code_words(code, ERRORS) or {LIMP: "limp", ENABLED: "enabled"}.get(code, f"{code:#x}")
+    states = {protocol.LIMP: "limp", protocol.ENABLED: "enabled"}
+    return code_words(code, protocol.ERRORS) or states.get(code, f"{code:#x}")
 
 
 def feedback_of(data: bytes, ranges: Ranges) -> Feedback:
     """Decode 8 bytes of feedback."""
-    packed = int.from_bytes(data, "big")
+    told = ((protocol.TOLD_PLACE, ranges.rad), (protocol.TOLD_SPEED, ranges.rad_s), (protocol.TOLD_TORQUE, ranges.nm))
     return Feedback(
-        data[0] >> 4,
-        of_field(packed >> 40 & 0xFFFF, ranges.rad, 16),
-        of_field(packed >> 28 & 0xFFF, ranges.rad_s, 12),
-        of_field(packed >> 16 & 0xFFF, ranges.nm, 12),
+        unpacked(data, protocol.CODE), *(of_field(unpacked(data, where), most, where.size) for where, most in told)
     )
 
 
 def setpoint_bytes(drive: DamiaoDrive, rad: float) -> bytes:
     """Data of a command of mode mit to stand at a position (rad, of the motor's shaft)."""
     ranges, kp, kd = drive.ranges, drive.kp or 0.0, drive.kd or 0.0
-    packed = field(rad, ranges.rad, 16) << 48 | field(0.0, ranges.rad_s, 12) << 36
-    packed |= field(2.0 * kp - HIGHEST_KP, HIGHEST_KP, 12) << 24 | field(2.0 * kd - HIGHEST_KD, HIGHEST_KD, 12) << 12
-    return (packed | field(0.0, ranges.nm, 12)).to_bytes(8, "big")
+    fields = (
+        (protocol.PLACE, rad, ranges.rad),
+        (protocol.SPEED, 0.0, ranges.rad_s),
+        (protocol.STIFFNESS, 2.0 * kp - HIGHEST_KP, HIGHEST_KP),
+        (protocol.DAMPING, 2.0 * kd - HIGHEST_KD, HIGHEST_KD),
+        (protocol.TORQUE, 0.0, ranges.nm),
+    )
+    return packed({where: field(value, most, where.size) for where, value, most in fields})
 
 
 def _drive(config: JointConfig) -> DamiaoDrive:
@@ -182,8 +169,8 @@ def _drive(config: JointConfig) -> DamiaoDrive:
     return config.drive
 
 
-def _command(drive: DamiaoDrive, last: int) -> Frame:
-    return Frame(drive.motor_id, b"\xff" * 7 + bytes([last]), kind=STANDARD)
+def _command(drive: DamiaoDrive, data: bytes) -> Frame:
+    return Frame(drive.motor_id, data, kind=STANDARD)
 
 
 def _stay(config: JointConfig, found: Feedback, most_rad: float) -> Frame:
@@ -193,7 +180,11 @@ def _stay(config: JointConfig, found: Feedback, most_rad: float) -> Frame:
     if drive.mode == "mit":
         return Frame(drive.motor_id, setpoint_bytes(drive, rad), kind=STANDARD)
     rad_s = ERROR_SPEED_SHARE * config.max_velocity_rad_s * config.ratio
-    return Frame(drive.motor_id + POSITION_VELOCITY_OFFSET, struct.pack("<ff", rad, rad_s), kind=STANDARD)
+    return Frame(
+        drive.motor_id + POSITION_VELOCITY_OFFSET,
+        packed({protocol.TARGET: rad, protocol.HIGHEST_SPEED: rad_s}),
+        kind=STANDARD,
+    )
 
 
 def _held_rad(config: JointConfig, found: Feedback, most_rad: float) -> float:
@@ -204,7 +195,7 @@ def _held_rad(config: JointConfig, found: Feedback, most_rad: float) -> float:
     """
     drive = _drive(config)
     stands = abs(found.rad_s) <= STANDING_STEPS * 2.0 * drive.ranges.rad_s / 0xFFF
-    if drive.kp is None or found.code != ENABLED or not stands:
+    if drive.kp is None or found.code != protocol.ENABLED or not stands:
         return found.rad
     return found.rad + min(max(found.nm / drive.kp, -most_rad), most_rad)
 
@@ -221,17 +212,17 @@ def _confirmed_feedback(joint: int, config: JointConfig) -> Part[Feedback]:
 def _asked(config: JointConfig) -> AskFrames:
     """The request for a motor's feedback, which comes on its master ID with its own ID in the lowest bits."""
     drive = _drive(config)
-    request = Frame(REGISTERS_ID, struct.pack("<HBB4x", drive.motor_id, FEEDBACK, 0), kind=STANDARD)
-    return AskFrames((request,), lambda frame: is_feedback(drive, frame.data))
+    return AskFrames((_registers(drive, protocol.FEEDBACK),), lambda frame: is_feedback(drive, frame.data))
 
 
 def is_feedback(drive: DamiaoDrive, data: bytes) -> bool:
     """Whether a frame on a motor's master ID is its feedback; see `rtloop.drives.damiao.tells_a_register`."""
-    return len(data) == 8 and data[0] & 15 == drive.motor_id and not _tells_register(drive, data)
+    return len(data) == 8 and unpacked(data, protocol.MOTOR) == drive.motor_id and not _tells_register(drive, data)
 
 
 def _tells_register(drive: DamiaoDrive, data: bytes) -> bool:
-    return data[:2] == struct.pack("<H", drive.motor_id) and data[2] in (READ, WRITE, STORE)
+    said_of = unpacked(data, protocol.OPERATION) in (protocol.READ, protocol.WRITE, protocol.STORE)
+    return said_of and unpacked(data, protocol.OWNER) == drive.motor_id
 
 
 def _feedback(joint: int, config: JointConfig) -> Part[Feedback]:
@@ -259,7 +250,7 @@ def _sound(host: Host, joint: int) -> Part[Feedback]:
         )
 
     def cleared() -> Part[Feedback]:
-        yield say(_command(drive, CLEAR_ERROR))
+        yield say(_command(drive, protocol.CLEAR_ERROR))
         return (yield from _feedback(joint, config))
 
     return (
@@ -267,7 +258,7 @@ def _sound(host: Host, joint: int) -> Part[Feedback]:
             host,
             joint,
             feedback_of(answer.data, drive.ranges),
-            lambda found: "" if found.code in (LIMP, ENABLED) else status_words(found.code),
+            lambda found: "" if found.code in (protocol.LIMP, protocol.ENABLED) else status_words(found.code),
             cleared,
             find="remove that",
         )
@@ -278,12 +269,12 @@ def _check_ranges(joint: int, config: JointConfig) -> Part[None]:
     """Check that the fields of the motor's frames have the ranges that the arm file states; raises DialogueFailed."""
     drive = _drive(config)
     for (register, name, what, unit), field_name, expected in zip(RANGES, RANGE_FIELDS, drive.ranges, strict=True):
-        value = yield from _read_float(joint, config, register)
+        value = yield from _read(joint, config, register)
         if math.isclose(value, expected, rel_tol=SAME):
             continue
         raise DialogueFailed(
             joint,
-            f"The drive of {config.name} says that its {what} range is ±{value:g} {unit} (register {register}, "
+            f"The drive of {config.name} says that its {what} range is ±{value:g} {unit} ({register}, "
             f"{name}), but the arm file ±{expected:g}, so every {what} would be taken for another: set model or "
             f"{field_name} of {config.name} to what the motor has, or the register to {expected:g} with the maker's "
             "tool.",
@@ -312,67 +303,71 @@ def _set_up(host: Host, joint: int, *, enabled: bool) -> Part[None]:
     config = host.arm.joints[joint]
     drive = _drive(config)
     done: list[str] = []
-    mode = yield from _read_whole(joint, config, CONTROL_MODE)
-    if mode != MODES[drive.mode]:
+    mode = yield from _read(joint, config, protocol.CONTROL_MODE)
+    wanted_mode = protocol.MODES[drive.mode]
+    if mode != wanted_mode:
         if enabled:
             raise DialogueFailed(
                 joint,
-                f"The drive of {config.name} is enabled in mode {mode} (register {CONTROL_MODE}), but the arm file "
-                f"wants {MODES[drive.mode]} ({drive.mode}), and which target would count after a change is not known: "
+                f"The drive of {config.name} is enabled in mode {mode} ({protocol.CONTROL_MODE}), but the arm file "
+                f"wants {wanted_mode} ({drive.mode}), and which target would count after a change is not known: "
                 "support the arm, switch the drive off, then on, and `rtarm clear-fault`, or `rtarm up` where it has "
                 "ended; or set mode in the arm file to what it is.",
             )
-        yield from _write(joint, config, CONTROL_MODE, struct.pack("<I", MODES[drive.mode]))
-        done.append(f"its mode from {mode} to {MODES[drive.mode]} ({drive.mode}, register {CONTROL_MODE})")
+        yield from _write(joint, config, protocol.CONTROL_MODE, wanted_mode)
+        done.append(f"its mode from {mode} to {wanted_mode} ({drive.mode}, {protocol.CONTROL_MODE})")
     if drive.plans_its_motion:
         ramp = config.max_acceleration_rad_s2 * host.arm.limits.silence_brake_factor * config.ratio
-        for register, name, wanted in ((ACC, "acceleration", ramp), (DEC, "deceleration", -ramp)):
-            value = yield from _read_float(joint, config, register)
+        for register, name, wanted in ((protocol.ACC, "acceleration", ramp), (protocol.DEC, "deceleration", -ramp)):
+            value = yield from _read(joint, config, register)
             if not math.isclose(value, wanted, rel_tol=SAME):
-                yield from _write(joint, config, register, struct.pack("<f", wanted))
-                done.append(f"its {name} from {value:g} to {wanted:g} rad/s² (register {register})")
-    timeout = yield from _read_whole(joint, config, TIMEOUT)
+                yield from _write(joint, config, register, wanted)
+                done.append(f"its {name} from {value:g} to {wanted:g} rad/s² ({register})")
+    timeout = yield from _read(joint, config, protocol.TIMEOUT)
     if timeout:
-        yield from _write(joint, config, TIMEOUT, bytes(4))
+        yield from _write(joint, config, protocol.TIMEOUT, 0)
         done.append(
-            f"its alarm time from {timeout * TIMEOUT_UNIT_S * 1e3:g} ms to none (register {TIMEOUT}: it would let go "
-            "of the joint when it hears nothing for so long; without it the motor stays where it was told)"
+            f"its alarm time from {timeout * protocol.TIMEOUT_UNIT_S * 1e3:g} ms to none ({protocol.TIMEOUT}: it would "
+            "let go of the joint when it hears nothing for so long; without it the motor stays where it was told)"
         )
     if done:
         host.tell(f"The drive of {config.name} was set up until it loses its power: {', '.join(done)}.")
 
 
-def _read(joint: int, config: JointConfig, register: int) -> Part[bytes]:
-    """The four bytes of a register; raises DialogueFailed."""
-    drive = _drive(config)
-    request = Frame(REGISTERS_ID, struct.pack("<HBB4x", drive.motor_id, READ, register), kind=STANDARD)
+def _registers(drive: DamiaoDrive, operation: int, values: Values = NO_VALUES) -> Frame:
+    """A frame on 7FF."""
+    said = {protocol.OWNER: drive.motor_id, protocol.OPERATION: operation, **values}
+    return Frame(REGISTERS_ID, packed(said), kind=STANDARD)
+
+
+def _read(joint: int, config: JointConfig, register: Register) -> Part[float]:
+    """The value of a register; raises DialogueFailed."""
+    return unpacked((yield from _told_of(joint, config, register)), register.value)
+
+
+def _told_of(joint: int, config: JointConfig, register: Register) -> Part[bytes]:
+    """The data of a motor's answer about a register; raises DialogueFailed."""
+    request = _registers(_drive(config), protocol.READ, {protocol.REGISTER: register.number})
     expected = request.data[:4]
     question = AskFrames((request,), lambda frame: len(frame.data) == 8 and frame.data[:4] == expected)
-    return bytes((yield from answered(joint, config, question, f"register {register}")).data[4:])
+    return bytes((yield from answered(joint, config, question, str(register))).data)
 
 
-def _read_float(joint: int, config: JointConfig, register: int) -> Part[float]:
-    data = yield from _read(joint, config, register)
-    return float(struct.unpack("<f", data)[0])
-
-
-def _read_whole(joint: int, config: JointConfig, register: int) -> Part[int]:
-    data = yield from _read(joint, config, register)
-    return int.from_bytes(data, "little")
-
-
-def _write(joint: int, config: JointConfig, register: int, value: bytes) -> Part[None]:
+def _write(joint: int, config: JointConfig, register: Register, value: float) -> Part[None]:
     """Write a register in volatile memory and read it back; raises DialogueFailed."""
-    head = struct.pack("<HBB", _drive(config).motor_id, WRITE, register)
+    values: Values = {protocol.REGISTER: register.number, register.value: value}
+    request = _registers(_drive(config), protocol.WRITE, values)
 
     def write() -> Dialogue:
-        yield say(Frame(REGISTERS_ID, head + value, kind=STANDARD))
+        yield say(request)
 
-    found = yield from written(write, lambda: _read(joint, config, register), lambda found: found == value)
-    if found == value:
+    wanted = request.data[4:]
+    found = yield from written(write, lambda: _told_of(joint, config, register), lambda found: found[4:] == wanted)
+    if found[4:] == wanted:
         return
     raise DialogueFailed(
         joint,
-        f"The drive of {config.name} keeps register {register} at {found.hex(' ')} although {value.hex(' ')} was "
-        "written: set it with the maker's tool, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+        f"The drive of {config.name} keeps {register} at {found[4:].hex(' ')} although "
+        f"{wanted.hex(' ')} was written: set it with the maker's tool, then `rtarm clear-fault`, or `rtarm up` where "
+        "it has ended.",
     )

@@ -18,19 +18,25 @@ READ_ENABLED, READ_HOMED, CLEAR_PROTECTION, READ_STALLED = 0x3A, 0x3B, 0x3D, 0x3
 WORK_MODE, MICROSTEPS, PROTECT, ANSWERS, HOME, ERROR_GUARD = 0x82, 0x84, 0x88, 0x8C, 0x91, 0x9D
 READ_STATE, ENABLE, MOVE, EMERGENCY_STOP = 0xF1, 0xF3, 0xF5, 0xF7
 
+# of every frame, in both directions
 CODE = Number(0, 1)
-"""Of every frame, in both directions."""
+
+# of an answer of three bytes
 VALUE = Number(1, 1)
-"""Of an answer of three bytes."""
+
+# of F5
 TARGET_RPM = Number(1, 2, big_endian=True)
 TARGET_ACC = Number(3, 1)
 TARGET_COUNTS = Number(4, 3, signed=True, big_endian=True)
-"""Of F5, without its checksum `TARGET_BYTES` long."""
 TARGET_BYTES = 7
+"""Without its checksum."""
+
+# of the answer to 31
 COUNTS = Number(1, 6, signed=True, big_endian=True)
-"""Of 31: the position."""
+
+# of the answer to 39
 ERROR_STEPS = Number(1, 4, signed=True, big_endian=True)
-"""Of 39: how far the drive is from its target."""
+"""How far the drive is from its target."""
 ERROR_STEPS_PER_REVOLUTION = 51_200
 
 REFUSED, BEGUN, STOPPED_AT_LIMIT = 0, 1, 3
@@ -45,3 +51,8 @@ HIGHEST_RPM = 3000
 """In SR_vFOC."""
 TRUE_SPEED_MICROSTEPS = (16, 32, 64)
 """Microsteps with which the speed in a command is in rpm; with others it is not (manual V1.0.6, 6.1)."""
+
+
+def sealed(can_id: int, data: bytes) -> bytes:
+    """The data of a frame with its checksum."""
+    return data + bytes(((can_id + sum(data)) & 0xFF,))

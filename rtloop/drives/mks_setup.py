@@ -354,13 +354,13 @@ def _can_id(config: JointConfig) -> int:
 
 
 def _frame(can_id: int, data: bytes) -> Frame:
-    return Frame(can_id, data + bytes(((can_id + sum(data)) & 0xFF,)), kind=STANDARD)
+    return Frame(can_id, protocol.sealed(can_id, data), kind=STANDARD)
 
 
 def _is_answer(can_id: int, lengths: tuple[int, ...], code: int) -> Callable[[Frame], bool]:
     def is_answer(frame: Frame) -> bool:
         data = frame.data
-        sound = len(data) in lengths and data[-1] == (can_id + sum(data[:-1])) & 0xFF
+        sound = len(data) in lengths and data == protocol.sealed(can_id, data[:-1])
         return sound and frame.kind == STANDARD and data[0] == code
 
     return is_answer

@@ -15,25 +15,31 @@ READ_RAMP, WRITE_RAMP, RESET, RELEASE_BRAKE = 0x42, 0x43, 0x76, 0x77
 SHUTDOWN, STOP, ANGLE, STATUS, FEEDBACK = 0x80, 0x81, 0x92, 0x9A, 0x9C
 TARGET, UPTIME = 0xA4, 0xB1
 
+# of every frame, in both directions
 COMMAND = Number(0, 1)
-"""Of every frame, in both directions."""
 
+# of A4
 TARGET_SPEED_DPS = Number(2, 2)
-"""Of A4; 0 would mean no limit at all, so the least that is sent is 1."""
+"""0 would mean no limit at all, so the least that is sent is 1."""
 TARGET_ANGLE = Number(4, 4, signed=True)
-"""Of A4, in hundredths of a degree."""
-
+"""In hundredths of a degree."""
 STEPS_PER_DEGREE = 100.0
+
+# of 92
 READ_ANGLE = Number(4, 4, signed=True)
-"""Of 92, in hundredths of a degree."""
+"""In hundredths of a degree."""
+
+# of the answers to 9A, 9C and A4
 TEMPERATURE_C = Number(1, 1, signed=True)
-"""Of 9A, 9C and A4."""
-STEPS_PER_AMPERE = 100.0
+
+# of the answers to 9C and A4
 CURRENT = Number(2, 2, signed=True)
-"""Of 9C and A4, in hundredths of an ampere."""
+"""In hundredths of an ampere."""
+STEPS_PER_AMPERE = 100.0
 SPEED = Number(4, 2, signed=True, step=STEPS_PER_DEGREE)
-"""Of 9C and A4: whole degrees a second, here as hundredths."""
-# of 9A
+"""Whole degrees a second, here as hundredths."""
+
+# of the answer to 9A
 BRAKE_RELEASED = Number(3, 1)
 VOLTAGE_V = Number(4, 2, step=0.1)
 ERROR = Number(6, 2)
@@ -44,8 +50,9 @@ RAMP_DPS_S = Number(4, 4)
 RAMPS = ((0, "acceleration"), (1, "deceleration"))
 """The ramps of position planning: index, name."""
 
+# of B1
 UPTIME_MS = Number(4, 4)
-"""Of B1; it starts anew at 49.7 days."""
+"""It starts anew at 49.7 days."""
 
 ERRORS = (
     ErrorBit(0x0002, "stall", status_bits.STALLED),

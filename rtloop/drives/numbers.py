@@ -7,7 +7,7 @@ bytes as one 64-bit word with the first byte lowest.
 import operator
 import struct
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, overload
 
 
 class Number(NamedTuple):
@@ -22,15 +22,27 @@ class Number(NamedTuple):
     """What one of it is in the unit of its name, for `words.quantity`; all else reads and writes whole numbers."""
 
 
+class Bits(NamedTuple):
+    """A whole number in `size` bits (1 to 16) from bit `at`, highest bit first; bit 0 is the highest of byte 0."""
+
+    at: int
+    size: int
+
+
 class Single(NamedTuple):
     """An IEEE 754 single from byte `at`, lowest byte first."""
 
     at: int
 
 
-Values = Mapping[Number | Single, float]
+Values = Mapping[Number | Bits | Single, float]
 """What stands in a frame; whole numbers are ints."""
 NO_VALUES: Values = {}
+
+
+def word(data: bytes) -> int:
+    """Up to eight data bytes as the cycle holds them."""
+    return int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)
 
 
 def whole(data: int, number: Number) -> int:
@@ -53,15 +65,44 @@ def placed(number: Number, value: int) -> int:
     return data
 
 
+def bits(data: int, where: Bits) -> int:
+    """The number in a frame's data."""
+    value, end = 0, where.at + where.size
+    for i in range(where.at >> 3, end + 7 >> 3):
+        value = value << 8 | data >> 8 * i & 255
+    return value >> -end % 8 & (1 << where.size) - 1
+
+
+def placed_bits(where: Bits, value: int) -> int:
+    """Data in which the number is a value of no more bits, and all else 0."""
+    data, end = 0, where.at + where.size
+    rest = value << -end % 8
+    for i in range((end + 7 >> 3) - 1, (where.at >> 3) - 1, -1):
+        data |= (rest & 255) << 8 * i
+        rest >>= 8
+    return data - (data >> 63 << 63) * 2  # a word is signed where the cycle runs without its compiler, too
+
+
 def packed(values: Values, length: int = 8) -> bytes:
     """The data bytes of a frame in which some numbers have values; raises OverflowError for one that is too large."""
     data = bytearray(length)
     for number, value in values.items():
         if isinstance(number, Single):
             struct.pack_into("<f", data, number.at, value)
+        elif isinstance(number, Bits):
+            _place(number, value, data)
         else:
             data[number.at : number.at + number.size] = _bytes_of(number, value)
     return bytes(data)
+
+
+def _place(where: Bits, value: Any, data: bytearray) -> None:
+    """Put a value, which must be a whole number, into its bits, which are 0."""
+    value = operator.index(value)
+    if value >> where.size != 0:
+        raise OverflowError(f"{value} in {where.size} bits")
+    whole = int.from_bytes(data, "big") | value << 8 * len(data) - where.at - where.size
+    data[:] = whole.to_bytes(len(data), "big")
 
 
 def _bytes_of(number: Number, value: Any) -> bytes:
@@ -70,11 +111,15 @@ def _bytes_of(number: Number, value: Any) -> bytes:
     return operator.index(value).to_bytes(number.size, order, signed=number.signed)
 
 
-def unpacked(data: bytes, number: Number) -> int:
-    """The whole number in the data bytes of a frame, whose length the caller knows."""
-    return whole(int.from_bytes(data, "little"), number)
-
-
-def unpacked_single(data: bytes, single: Single) -> float:
-    """The single in the data bytes of a frame."""
-    return float(struct.unpack_from("<f", data, single.at)[0])
+@overload
+def unpacked(data: bytes, where: Number | Bits) -> int: ...
+@overload
+def unpacked(data: bytes, where: Single) -> float: ...
+@overload
+def unpacked(data: bytes, where: Number | Bits | Single) -> int | float: ...
+def unpacked(data: bytes, where: Number | Bits | Single) -> float:
+    """The number in the data bytes of a frame, whose length the caller knows."""
+    if isinstance(where, Single):
+        return float(struct.unpack_from("<f", data, where.at)[0])
+    word = int.from_bytes(data, "little")
+    return bits(word, where) if isinstance(where, Bits) else whole(word, where)

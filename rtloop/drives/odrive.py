@@ -6,6 +6,7 @@
 import math
 
 from compilation.jit import jit
+from config.drives.odrive import COMMAND_MASK, NODE_BIT
 from rtloop.drives import following, receiving, words
 from rtloop.drives import odrive_protocol as protocol
 from rtloop.drives.errors import meanings
@@ -25,7 +26,7 @@ MEANINGS_0_6 = meanings(protocol.ERRORS_0_6, every=0xFFFFFFFF)
 @jit
 def identifier(loop: Loop, joint: int, command: int) -> int:
     """The CAN identifier of a command to the joint's node."""
-    return int(loop.joints[joint].address << 5 | command)
+    return int(loop.joints[joint].address << NODE_BIT | command)
 
 
 @jit
@@ -93,7 +94,7 @@ def receive(
 ) -> None:
     """Store estimates, supply voltage, torque, the heartbeat's status, or the firmware's version."""
     row = loop.joints[joint]
-    command = frame_id & (protocol.COMMANDS - 1)
+    command = frame_id & COMMAND_MASK
     if length != 8:
         return
     volt, ampere = words.single(data, protocol.BUS_V), words.single(data, protocol.CURRENT_A)

@@ -16,34 +16,41 @@ from rtloop.drives.errors import ErrorBit
 from rtloop.drives.numbers import Number, Single
 from rtloop.memory import status as status_bits
 
-COMMANDS = 32
-"""Number of commands of a node; the command is the lowest bits of an identifier."""
 VERSION, HEARTBEAT, AXIS_STATE, ESTIMATES, MODES, INPUT_POSITION = 0x00, 0x01, 0x07, 0x09, 0x0B, 0x0C
 CURRENT, BUS, CLEAR_ERRORS = 0x14, 0x17, 0x18
 ANSWER_BYTES = 8
 """Length of every answer, which the remote frame states too."""
 
+# of 0C
 INPUT_TURNS = Single(0)
 INPUT_AHEAD = Number(4, 2, signed=True)
-"""Of 0C: velocity feed-forward, in thousandths of a turn a second."""
+"""Velocity feed-forward, in thousandths of a turn a second."""
 AHEAD_PER_UNIT = 1000.0
+
+# of 0B
 CONTROL_MODE, INPUT_MODE = Number(0, 4), Number(4, 4)
-"""Of 0B."""
 POSITION_CONTROL, PASSTHROUGH = 3, 1
+
+# of 07
 WANTED_STATE = Number(0, 4)
-"""Of 07."""
 IDLE, CLOSED_LOOP = 1, 8
 
+# of 09
 TURNS, TURNS_S = Single(0), Single(4)
-"""Of 09."""
+
+# of 17
 BUS_V = Single(0)
-"""Of 17."""
+
+# of 14
 CURRENT_A = Single(4)
-"""Of 14: measured, of the motor."""
+"""Measured, of the motor."""
+
+# of 01
 ERROR, STATE, RESULT = Number(0, 4), Number(4, 1), Number(5, 1)
-"""Of 01; the result counts with firmware 0.6 only."""
+"""The result counts with firmware 0.6 only."""
+
+# of 00
 MAJOR, MINOR, REVISION = Number(4, 1), Number(5, 1), Number(6, 1)
-"""Of 00."""
 
 FIRMWARE_0_6 = 6
 """Major version << 8 | minor version since which the error's bits are those of `ERRORS_0_6`."""

@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from config.drives.odrive import OdriveDrive
+from config.drives.odrive import COMMAND_MASK, NODE_BIT, OdriveDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives import errors
 from rtloop.drives import odrive_protocol as protocol
 from rtloop.drives.asking import AskFrames, confirmed, say
-from rtloop.drives.numbers import NO_VALUES, Values, packed, unpacked, unpacked_single
+from rtloop.drives.numbers import NO_VALUES, Values, packed, unpacked
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, require_may_enable
 from rtloop.drives.steps import answered, let_go, unanswered, without_error
 from rtloop.memory.frame_words import REMOTE, STANDARD
@@ -169,25 +169,25 @@ def _drive(config: JointConfig) -> OdriveDrive:
 
 
 def _frame(node: int, command: int, values: Values = NO_VALUES) -> Frame:
-    return Frame(node << 5 | command, packed(values), kind=STANDARD)
+    return Frame(node << NODE_BIT | command, packed(values), kind=STANDARD)
 
 
 def _asked(node: int, command: int) -> AskFrames:
     """A request (remote frame) for one of the node's values."""
-    request = Frame(node << 5 | command, bytes(protocol.ANSWER_BYTES), kind=STANDARD | REMOTE)
+    request = _frame(node, command)._replace(kind=STANDARD | REMOTE)
     return AskFrames((request,), lambda frame: _says(frame, command))
 
 
 def _says(frame: Frame, command: int) -> bool:
     """Whether a frame of the node holds that value."""
-    return frame.id & (protocol.COMMANDS - 1) == command and len(frame.data) == protocol.ANSWER_BYTES
+    return frame.id & COMMAND_MASK == command and len(frame.data) == protocol.ANSWER_BYTES
 
 
 def _turns(joint: int, config: JointConfig) -> Part[float]:
     """The motor's position (turns); raises DialogueFailed."""
     for _ in range(TRIES):
         answer = yield from answered(joint, config, _asked(_drive(config).node_id, protocol.ESTIMATES), "position")
-        turns = unpacked_single(answer.data, protocol.TURNS)
+        turns = unpacked(answer.data, protocol.TURNS)
         if math.isfinite(turns):
             return turns
     raise DialogueFailed(

@@ -44,8 +44,8 @@ def identifier(loop: Loop, joint: int, kind: int, data16: int) -> int:
 def set_point(loop: Loop, joint: int, position: float, velocity: float) -> int:
     """Data of type 1; position and velocity are those of the output shaft (rad, rad/s)."""
     row = loop.joints[joint]
-    place = words.placed(protocol.PLACE, words.field(position, row.range_rad, protocol.BITS))
-    speed = words.placed(protocol.SPEED, words.field(velocity, row.range_rad_s, protocol.BITS))
+    place = words.placed_field(protocol.PLACE, position, row.range_rad)
+    speed = words.placed_field(protocol.SPEED, velocity, row.range_rad_s)
     return int(place | speed | row.gains_word)
 
 
@@ -185,9 +185,9 @@ def receive(
 def receive_feedback(loop: Loop, joint: int, frame_id: int, data: int, time_ns: int) -> None:
     """Store position, velocity, torque, temperature and status of a feedback."""
     row = loop.joints[joint]
-    position = words.of_field(words.whole(data, protocol.PLACE), row.range_rad, protocol.BITS)
-    velocity = words.of_field(words.whole(data, protocol.SPEED), row.range_rad_s, protocol.BITS)
-    torque = words.of_field(words.whole(data, protocol.TORQUE), row.range_nm, protocol.BITS)
+    position = words.field_at(data, protocol.PLACE, row.range_rad)
+    velocity = words.field_at(data, protocol.SPEED, row.range_rad_s)
+    torque = words.field_at(data, protocol.TORQUE, row.range_nm)
     angle = position / row.reading_per_rad - row.zero_rad
     receiving.receive_position(loop, joint, beyond_its_field(loop, joint, angle), time_ns)
     receiving.receive_velocity(loop, joint, velocity / row.reading_per_rad)

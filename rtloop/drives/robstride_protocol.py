@@ -13,7 +13,7 @@ was just measured.
 """
 
 from rtloop.drives.errors import ErrorBit
-from rtloop.drives.numbers import Number, Single
+from rtloop.drives.numbers import Bits, Number, Single
 from rtloop.memory import status as status_bits
 
 FEEDBACK, FAULT = 2, 21
@@ -44,17 +44,14 @@ FAULT_MEANINGS = (
 )
 """Bits of the word that type 21 says, which has an order of its own."""
 
-# of 1 and 2: fields of 16 bits, 0 the lower end of their range (`rtloop.drives.fields`)
-BITS = 16
-PLACE = Number(0, 2, big_endian=True)
-SPEED = Number(2, 2, big_endian=True)
+# of 1 and 2: fields, 0 the lower end of their range (`rtloop.drives.fields`)
+PLACE, SPEED = Bits(0, 16), Bits(16, 16)
 # of 1
-STIFFNESS = Number(4, 2, big_endian=True)
-DAMPING = Number(6, 2, big_endian=True)
+STIFFNESS, DAMPING = Bits(32, 16), Bits(48, 16)
 NO_TORQUE = 0x7FFF
-"""In the identifier."""
+"""In the identifier of 1: a feed-forward torque of about 0."""
 # of 2
-TORQUE = Number(4, 2, big_endian=True)
+TORQUE = Bits(32, 16)
 TEMPERATURE_C = Number(6, 2, signed=True, big_endian=True, step=0.1)
 
 CLEAR = Number(0, 1)

@@ -24,7 +24,7 @@ from rtloop.drives import robstride_protocol as protocol
 from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.errors import error_words
-from rtloop.drives.numbers import NO_VALUES, Values, packed, unpacked, unpacked_single
+from rtloop.drives.numbers import NO_VALUES, Bits, Values, packed, unpacked, word
 from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import answered, let_go, unanswered, without_error, written
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
@@ -60,7 +60,7 @@ def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
     row["range_rad"], row["range_rad_s"] = drive.position_range_rad, drive.velocity_range_rad_s
     row["range_nm"] = drive.torque_range_nm
     if drive.mode == "control":
-        row["gains_word"] = int.from_bytes(packed(_gains(drive)), "little", signed=True)
+        row["gains_word"] = word(packed(_gains(drive)))
     else:
         row["position_gain_1_s"] = position_gain_1_s(drive)
         row["silence_deceleration_rad_s2"] = math.inf
@@ -182,13 +182,14 @@ def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
     answer = yield from answered(joint, config, question, "state")
     speed, torque = unpacked(answer.data, protocol.SPEED), unpacked(answer.data, protocol.TORQUE)
     held = standing
-    if abs(fields.of_field(speed, drive.velocity_range_rad_s, protocol.BITS)) <= STANDING_RAD_S:
+    if abs(fields.of_field(speed, drive.velocity_range_rad_s, protocol.SPEED.size)) <= STANDING_RAD_S:
         assert drive.kp is not None
         most = host.arm.limits.following_error_rad * config.ratio
-        held += min(max(fields.of_field(torque, drive.torque_range_nm, protocol.BITS) / drive.kp, -most), most)
+        held += min(max(fields.of_field(torque, drive.torque_range_nm, protocol.TORQUE.size) / drive.kp, -most), most)
     # round to the nearest step, not down: a motor that was holding already gets the same command again
     reach = drive.position_range_rad
-    held = fields.of_field(fields.field(held + reach / FIELD_STEPS, reach, protocol.BITS), reach, protocol.BITS)
+    bits = protocol.PLACE.size
+    held = fields.of_field(fields.field(held + reach / FIELD_STEPS, reach, bits), reach, bits)
     yield from _said(joint, config, _hold(drive, held))
     return held
 
@@ -268,19 +269,20 @@ def _write(drive: RobstrideDrive, index: int, value: float) -> Frame:
     return _frame(drive, WRITE, {protocol.INDEX: index, protocol.VALUE: value})
 
 
-def _gain(value: float, most: float) -> int:
-    """A number from 0 to `most` as 16 bits."""
-    return fields.field(2.0 * value - most, most, protocol.BITS)
+def _gain(where: Bits, value: float, most: float) -> Values:
+    """A number from 0 to `most` in a field."""
+    return {where: fields.field(2.0 * value - most, most, where.size)}
 
 
 def _gains(drive: RobstrideDrive) -> Values:
     assert drive.kp is not None and drive.kd is not None
-    return {protocol.STIFFNESS: _gain(drive.kp, drive.kp_range), protocol.DAMPING: _gain(drive.kd, drive.kd_range)}
+    stiffness = _gain(protocol.STIFFNESS, drive.kp, drive.kp_range)
+    return {**stiffness, **_gain(protocol.DAMPING, drive.kd, drive.kd_range)}
 
 
 def _hold(drive: RobstrideDrive, standing: float) -> Frame:
     """A set-point at rest, without feed-forward torque."""
-    place = fields.field(standing, drive.position_range_rad, protocol.BITS)
+    place = fields.field(standing, drive.position_range_rad, protocol.PLACE.size)
     middle = FIELD_STEPS >> 1
     return _frame(drive, CONTROL, {protocol.PLACE: place, protocol.SPEED: middle, **_gains(drive)}, data16=middle)
 
@@ -322,7 +324,7 @@ def _parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[b
 
 def _number(joint: int, config: JointConfig, index: int, what: str) -> Part[float]:
     """Read a parameter whose value is a float; raises DialogueFailed."""
-    return unpacked_single((yield from _parameter(joint, config, index, what)), protocol.VALUE)
+    return unpacked((yield from _parameter(joint, config, index, what)), protocol.VALUE)
 
 
 def _where_it_stands(joint: int, config: JointConfig) -> Part[float]:

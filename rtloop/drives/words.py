@@ -80,6 +80,8 @@ def placed_single(where: numbers.Single, value: float) -> int:
 
 whole = jit(numbers.whole)
 placed = jit(numbers.placed)
+bits = jit(numbers.bits)
+placed_bits = jit(numbers.placed_bits)
 
 
 @jit
@@ -90,3 +92,15 @@ def quantity(data: int, number: numbers.Number) -> float:
 
 field = jit(fields.field)
 of_field = jit(fields.of_field)
+
+
+@jit
+def placed_field(where: numbers.Bits, value: float, most: float) -> int:
+    """Data in which a number within ±most stands in a field (`rtloop.drives.fields`), and all else 0."""
+    return int(placed_bits(where, field(value, most, where.size)))
+
+
+@jit
+def field_at(data: int, where: numbers.Bits, most: float) -> float:
+    """The number within ±most that a field in a frame's data holds."""
+    return float(of_field(bits(data, where), most, where.size))

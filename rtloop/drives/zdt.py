@@ -1,7 +1,6 @@
 """ZDT (Emm_V5) closed-loop stepper: numbers to CAN frames and back, in the cycle.
 
-Protocol facts (extended data frames, id = address << 8 | packet, 6B as constant checksum, big-endian fields
-with the sign in a byte of its own):
+Protocol facts (what stands in the frames: `rtloop.drives.zdt_registers`):
 - `FD dir rpm16 acc pulses32 mode=01 sync=00 6B`, two packets: go to an absolute target with at most that
   speed and a ramp of 1 rpm every (256 - acc) · 50 µs;
 - `36 6B` → `36 sign counts32 6B`, 65536 counts a turn; `3A 6B` → `3A flags 6B`; `FE 98 00 6B` stops at once;
@@ -20,7 +19,9 @@ Streaming: a target ahead, and a speed that sets the pace (`rtloop.drives.leadin
 import math
 
 from compilation.jit import jit
-from rtloop.drives import leading, receiving
+from rtloop.drives import leading, receiving, words
+from rtloop.drives import zdt_registers as registers
+from rtloop.drives.numbers import Number, word
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.state import Loop
@@ -34,59 +35,35 @@ from shm.words import Unreferenced
 
 FAST_OFFSET_SHARE = 0.25
 """With FC the error shifts the target, by no more than this share of the target's distance from the setpoint."""
-HIGHEST_RPM = 3000
 
-CHECKSUM = 0x6B
+OTHER, POSITION, STATUS, REFUSED, ACCEPTED, CAUSE = range(6)
+"""What a frame is, as `decode` says."""
 
-MOVE = 0xFD
-FAST_MOVE = 0xFC
-
-OTHER = 0
-POSITION = 1
-STATUS = 2
-REFUSED = 3
-ACCEPTED = 4
-CAUSE = 5
+NOWHERE = registers.go_to(0, rpm=0, acc=0)
+FIRST_PACKET, LAST_PACKET = word(NOWHERE[:8]), word(NOWHERE[:1] + NOWHERE[8:])
+PULSES_FIRST, PULSES_LAST = registers.MOVE_PULSES._replace(size=3), Number(1, 1)
+"""`FD` in its two packets, which part the target."""
+FAST_PACKET = word(registers.fast_target(0))
+READ_POSITION, READ_STATUS = word(registers.ASK_POSITION), word(registers.ASK_STATUS)
+READ_CAUSE = word(registers.ASK_HOMING_STATUS)
+STOP, END_HOMING = word(registers.STOP), word(registers.END_HOMING)
 
 
 @jit
 def pack_target(rpm: int, acc_byte: int, pulses: int) -> tuple[int, int]:
     """Data words of the two packets of `FD` with an absolute target; first byte lowest."""
-    sign = 1 if pulses < 0 else 0
     magnitude = min(abs(pulses), 0xFFFFFFFF)
-    first = (
-        0xFD
-        | (sign << 8)
-        | (((rpm >> 8) & 255) << 16)
-        | ((rpm & 255) << 24)
-        | (acc_byte << 32)
-        | (((magnitude >> 24) & 255) << 40)
-        | (((magnitude >> 16) & 255) << 48)
-        | (((magnitude >> 8) & 255) << 56)
-    )
-    second = 0xFD | ((magnitude & 255) << 8) | (0x01 << 16) | (0x00 << 24) | (CHECKSUM << 32)
-    return first, second
+    first = FIRST_PACKET | words.placed(registers.MOVE_SIGN, 1 if pulses < 0 else 0)
+    first |= words.placed(registers.MOVE_RPM, rpm) | words.placed(registers.MOVE_ACC, acc_byte)
+    first |= words.placed(PULSES_FIRST, magnitude >> 8)
+    return int(first), int(LAST_PACKET | words.placed(PULSES_LAST, magnitude))
 
 
 @jit
 def pack_fast_target(pulses: int) -> int:
     """Data word of `FC`; unlike that of `FD`, its target is a signed number. First byte lowest."""
-    bounded = min(max(pulses, -0x80000000), 0x7FFFFFFF) & 0xFFFFFFFF
-    return (
-        FAST_MOVE
-        | ((bounded >> 24) << 8)
-        | (((bounded >> 16) & 255) << 16)
-        | (((bounded >> 8) & 255) << 24)
-        | ((bounded & 255) << 32)
-        | (CHECKSUM << 40)
-    )
-
-
-READ_POSITION = 0x36 | (CHECKSUM << 8)
-READ_STATUS = 0x3A | (CHECKSUM << 8)
-READ_CAUSE = 0x3B | (CHECKSUM << 8)
-STOP = 0xFE | (0x98 << 8) | (CHECKSUM << 24)
-END_HOMING = 0x9C | (0x48 << 8) | (CHECKSUM << 16)
+    bounded = min(max(pulses, -0x80000000), 0x7FFFFFFF)
+    return int(FAST_PACKET | words.placed(registers.FAST_PULSES, bounded))
 
 
 @jit
@@ -143,57 +120,23 @@ def decode(packet: int, length: int, data: int) -> tuple[int, int]:
     The value is counts for POSITION, common bits (`memory.status`) for STATUS and CAUSE, the function byte for REFUSED
     and ACCEPTED, and 0 for OTHER.
     """
-    function = data & 255
     if packet != 0:
         return OTHER, 0
-    sign = (data >> 8) & 255
-    if length == 7 and function == 0x36 and sign <= 1 and (data >> 48) & 255 == CHECKSUM:
-        counts = (
-            (((data >> 16) & 255) << 24)
-            | (((data >> 24) & 255) << 16)
-            | (((data >> 32) & 255) << 8)
-            | ((data >> 40) & 255)
-        )
-        return POSITION, -counts if sign else counts
-    if length == 3 and (data >> 16) & 255 == CHECKSUM:
-        code = (data >> 8) & 255
-        if function == 0x3A:
-            return STATUS, common_status(code)
-        if code == 0xE2 or code == 0xEE:
+    function, code = words.whole(data, registers.FUNCTION), words.whole(data, registers.CODE)
+    if length == 7 and function == READ_POSITION & 255:
+        sign, counts = words.whole(data, registers.COUNTS_SIGN), words.whole(data, registers.COUNTS)
+        if sign <= 1 and words.whole(data, registers.COUNTS_END) == registers.CHECKSUM:
+            return POSITION, -counts if sign else counts
+    elif length == 3 and words.whole(data, registers.CODE_END) == registers.CHECKSUM:
+        if function == READ_STATUS & 255:
+            return STATUS, words.meaning(code, registers.STATUS_MEANINGS)
+        if code in (registers.REFUSED, registers.NOT_UNDERSTOOD):
             return REFUSED, function
-        if function == 0x3B:
-            return CAUSE, trip_cause(code)
-        if code == 0x02:
+        if function == READ_CAUSE & 255:
+            return CAUSE, words.meaning(code, registers.CAUSE_MEANINGS)
+        if code == registers.ACCEPTED:
             return ACCEPTED, function
     return OTHER, 0
-
-
-@jit
-def common_status(flags: int) -> int:
-    """The flags of `3A` (0 enabled, 1 reached, 2 stalled, 3 protection tripped, 7 power was lost) in common bits."""
-    status = 0
-    if flags & 0x01:
-        status |= status_bits.ENABLED
-    if flags & 0x02:
-        status |= status_bits.REACHED
-    if flags & 0x04:
-        status |= status_bits.STALLED
-    if flags & 0x08:
-        status |= status_bits.PROTECTED
-    if flags & 0x80:
-        status |= status_bits.POWER_LOST
-    return status
-
-
-@jit
-def trip_cause(flags: int) -> int:
-    """Why a protection has tripped, by the flags of `3B` (4 heat, 5 current; a stall has none), in common bits."""
-    cause = 0
-    if flags & 0x10:
-        cause |= status_bits.OVER_TEMPERATURE
-    if flags & 0x20:
-        cause |= status_bits.OVER_CURRENT
-    return cause
 
 
 # --- what the cycle asks of a family of drives
@@ -213,7 +156,7 @@ def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     target, speed = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
     if not setpoint_check.may_be_sent(loop, shared, joint, target, speed):
         return
-    rpm = leading.whole_rpm(loop, joint, speed, HIGHEST_RPM)
+    rpm = leading.whole_rpm(loop, joint, speed, registers.HIGHEST_RPM)
     first, second = pack_target(rpm, int(row.acc_byte), to_pulses(loop, joint, target))
     outgoing.send(loop, shared, frame_id, EXTENDED, 8, first, 1)
     outgoing.send(loop, shared, frame_id | 1, EXTENDED, 5, second)
@@ -272,4 +215,4 @@ def receive(
     elif kind == CAUSE:
         loop.axes[joint].drive.error_code = value
     elif kind == REFUSED:
-        receiving.receive_refusal(loop, shared, joint, value in (MOVE, FAST_MOVE))
+        receiving.receive_refusal(loop, shared, joint, value in (registers.MOVE, registers.FAST_MOVE))

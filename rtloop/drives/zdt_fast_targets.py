@@ -28,7 +28,7 @@ from rtloop.drives.zdt_talk import Answered
 from rtloop.service.conversation import TRIES, DialogueFailed
 
 PULSES_BESIDE = 2
-SLOWEST_RPM, HIGHEST_RPM = 1, 3000
+SLOWEST_RPM = 1
 ALMOST_PULSES = 1.0
 """Targets or positions that differ by less than this are the same."""
 WATCHED_S = 0.2
@@ -37,7 +37,7 @@ WATCHED_S = 0.2
 
 def highest_rpm(arm: ArmConfig, joint: JointConfig) -> int:
     """Speed limit for `F1` (motor rpm): the highest speed that may be commanded of the joint, rounded up."""
-    return min(math.ceil(arm.limits.velocity_margin * joint.motor_rpm), HIGHEST_RPM)
+    return min(math.ceil(arm.limits.velocity_margin * joint.motor_rpm), registers.HIGHEST_RPM)
 
 
 def beside(pulses: int) -> int:

@@ -1,7 +1,7 @@
 """A ZDT (Emm_V5) drive as ordinary Python sees it: requests, answers and commands as bytes (zdt-emm-v5.md, 2 to 6).
 
-This file holds what service dialogues send, and nothing else: auto-run, calibration, factory reset, loop mode and
-address are not part of it. The frames of the cycle are in `rtloop.drives.zdt`.
+This file holds what service dialogues and the cycle send, and nothing else: auto-run, calibration, factory reset, loop
+mode and address are not part of it. Frames are extended, id = address << 8 | packet, big-endian, and end in 6B.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ import struct
 from dataclasses import dataclass, fields, replace
 
 from config.drives.zdt import FULL_STEPS_PER_REVOLUTION
+from rtloop.drives.numbers import Number, Values, packed
+from rtloop.memory import status as status_bits
 
 ASK_FIRMWARE = b"\x1f\x6b"
 ASK_TRIP = b"\x13\x6b"
@@ -33,10 +35,42 @@ HOME_BY_COLLISION = b"\x9a\x02\x00\x6b"
 """Begins a homing run to the stop, which ends at count 0."""
 END_HOMING = b"\x9c\x48\x6b"
 
-ENABLED, STALLED, PROTECTED, POWER_LOST = 0x01, 0x04, 0x08, 0x80
+ENABLED, REACHED, STALLED, PROTECTED, POWER_LOST = 0x01, 0x02, 0x04, 0x08, 0x80
 """Flags of `3A`."""
+STATUS_MEANINGS = (
+    (ENABLED, status_bits.ENABLED),
+    (REACHED, status_bits.REACHED),
+    (STALLED, status_bits.STALLED),
+    (PROTECTED, status_bits.PROTECTED),
+    (POWER_LOST, status_bits.POWER_LOST),
+)
+"""The same in common bits."""
 HOMING, HOMING_FAILED, TOO_HOT, TOO_MUCH_CURRENT = 0x04, 0x08, 0x10, 0x20
 """Flags of `3B`; the last two give the cause of a tripped protection, where a stall has no flag."""
+CAUSE_MEANINGS = ((TOO_HOT, status_bits.OVER_TEMPERATURE), (TOO_MUCH_CURRENT, status_bits.OVER_CURRENT))
+
+FUNCTION = Number(0, 1)
+"""Of every packet, in both directions."""
+
+# of an acknowledgement or refusal, and of the answers to 3A and 3B
+CODE, CODE_END = Number(1, 1), Number(2, 1)
+ACCEPTED, REFUSED, NOT_UNDERSTOOD = 0x02, 0xE2, 0xEE
+
+# of the answer to 36
+COUNTS_SIGN, COUNTS, COUNTS_END = Number(1, 1), Number(2, 4, big_endian=True), Number(6, 1)
+"""65536 a turn, with a sign of its own: 0 or 1."""
+
+# of FD, in its two packets as one
+MOVE = 0xFD
+MOVE_SIGN, MOVE_RPM, MOVE_ACC = Number(1, 1), Number(2, 2, big_endian=True), Number(4, 1)
+MOVE_PULSES = Number(5, 4, big_endian=True)
+MOVE_MODE, ABSOLUTE, MOVE_END = Number(9, 1), 1, Number(11, 1)
+MOVE_BYTES = 12
+
+# of FC
+FAST_MOVE = 0xFC
+FAST_PULSES, FAST_END = Number(1, 4, signed=True, big_endian=True), Number(5, 1)
+FAST_BYTES = 6
 
 HIGHEST_RPM = 3000
 """Highest speed in a motion command, whatever the firmware (zdt-emm-v5.md 3)."""
@@ -143,7 +177,8 @@ def write_block(block: Block, *, store: bool) -> bytes:
 
 def go_to(pulses: int, *, rpm: int, acc: int) -> bytes:
     """The command `FD`: go to an absolute position (pulses) at once, with a motor speed and a ramp byte."""
-    return struct.pack(">BBHBIBBB", 0xFD, pulses < 0, rpm, acc, abs(pulses), 1, 0, CHECKSUM)
+    target: Values = {MOVE_SIGN: pulses < 0, MOVE_RPM: rpm, MOVE_ACC: acc, MOVE_PULSES: abs(pulses)}
+    return packed({FUNCTION: MOVE, **target, MOVE_MODE: ABSOLUTE, MOVE_END: CHECKSUM}, MOVE_BYTES)
 
 
 def limit_current(current_ma: int) -> bytes:
@@ -170,7 +205,7 @@ def fast_setup(rpm: int, acc_byte: int) -> bytes:
 
 def fast_target(pulses: int) -> bytes:
     """The command `FC`: go to a target (pulses) as `F1` has set it up."""
-    return b"\xfc" + pulses.to_bytes(4, "big", signed=True) + bytes((CHECKSUM,))
+    return packed({FUNCTION: FAST_MOVE, FAST_PULSES: pulses, FAST_END: CHECKSUM}, FAST_BYTES)
 
 
 def report_position(period_ms: int) -> bytes:

@@ -17,7 +17,7 @@ from canopen.profiles.p402 import BaseNode402
 from third_party.conftest import on_python_can
 from waiting import until
 
-from rtloop.drives import cia402_setup, pdo, sdo
+from rtloop.drives import cia402_protocol, pdo, sdo
 from rtloop.service.port import Frame
 from sim.faults import Protection
 
@@ -170,7 +170,10 @@ def test_it_maps_process_data_and_hears_them_with_each_sync(node: BaseNode402) -
     map_pdos(node)
     fits = [
         pdo.fits(sdo.Node(1, on_python_can("cia402_6").joints[1]), *wanted)
-        for wanted in ((pdo.RECEIVED, 0x202, cia402_setup.RPDO1_OBJECTS), (pdo.TOLD, 0x182, cia402_setup.TPDO1_OBJECTS))
+        for wanted in (
+            (pdo.RECEIVED, 0x202, cia402_protocol.RPDO1_OBJECTS),
+            (pdo.TOLD, 0x182, cia402_protocol.TPDO1_OBJECTS),
+        )
     ]
     assert [play(part, asked_through(node.network.bus)) for part in fits] == [True, True], "as we would have it"
     node.nmt.state = "OPERATIONAL"
@@ -290,9 +293,9 @@ def their_server() -> Callable[[Frame], Frame]:
 
 def test_our_reads_and_writes_are_understood(their_server: Any) -> None:
     ours = sdo.Node(1, on_python_can("cia402_6").joints[1])
-    assert play(ours.read(cia402_setup.DEVICE_TYPE), their_server) == 0x0002_0192
-    assert play(ours.read(cia402_setup.POSITION), their_server) == -16_382
-    for entry, value in ((cia402_setup.MODE, 8), (cia402_setup.TARGET, -5), (cia402_setup.CONTROLWORD, 15)):
+    assert play(ours.read(cia402_protocol.DEVICE_TYPE), their_server) == 0x0002_0192
+    assert play(ours.read(cia402_protocol.POSITION), their_server) == -16_382
+    for entry, value in ((cia402_protocol.MODE, 8), (cia402_protocol.TARGET, -5), (cia402_protocol.CONTROLWORD, 15)):
         play(ours.write(entry, value), their_server)
         assert their_server.local.sdo[entry.index].raw == value
         assert play(ours.read(entry), their_server) == value
@@ -304,15 +307,15 @@ def test_what_it_refuses_is_said(their_server: Any) -> None:
         play(ours.read(sdo.Object(0x2000, 0, 4, "nothing")), their_server)
     assert play(ours.read_if_there(sdo.Object(0x2000, 0, 4, "nothing")), their_server) is None
     with pytest.raises(sdo.Aborted, match="can only be read, abort code 06010002"):
-        play(ours.write(cia402_setup.DEVICE_TYPE, 1), their_server)
+        play(ours.write(cia402_protocol.DEVICE_TYPE, 1), their_server)
 
 
 def test_what_we_map_is_what_it_finds_mapped(their_server: Any) -> None:
     """Into its node by our dialogue; read out of it by its own PDO classes."""
     ours = sdo.Node(1, on_python_can("cia402_6").joints[1])
     wanted = (
-        (pdo.RECEIVED, 0x200 + NODE, cia402_setup.RPDO1_OBJECTS),
-        (pdo.TOLD, 0x180 + NODE, (*cia402_setup.TPDO1_OBJECTS, cia402_setup.TORQUE_OBJECT)),
+        (pdo.RECEIVED, 0x200 + NODE, cia402_protocol.RPDO1_OBJECTS),
+        (pdo.TOLD, 0x180 + NODE, (*cia402_protocol.TPDO1_OBJECTS, cia402_protocol.TORQUE_OBJECT)),
     )
     their_server.local.sdo[0x1800][1].raw = 0x4000_0180 + NODE
     for first, identifier, objects in wanted:

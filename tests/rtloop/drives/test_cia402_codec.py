@@ -18,7 +18,7 @@ from virtual import VirtualArm
 from config.budget import budget
 from config.errors import ConfigError
 from config.loader import load_arm
-from rtloop.drives import cia402, cia402_setup, sdo
+from rtloop.drives import cia402, cia402_protocol, cia402_setup, sdo
 from rtloop.memory import status
 from rtloop.memory.frame_words import STANDARD
 from rtloop.process.initial_state import new_loop
@@ -30,9 +30,9 @@ ARM = load_arm("cia402_6")
 ROOT = Path(__file__).resolve().parents[3]
 COUNTS = 131_072
 REQUESTS = (
-    ("2B 40 60 00 06 00 00 00", cia402_setup.CONTROLWORD, 0x06),
-    ("2B 40 60 00 0F 00 00 00", cia402_setup.CONTROLWORD, 0x0F),
-    ("2F 60 60 00 08 00 00 00", cia402_setup.MODE, 8),
+    ("2B 40 60 00 06 00 00 00", cia402_protocol.CONTROLWORD, 0x06),
+    ("2B 40 60 00 0F 00 00 00", cia402_protocol.CONTROLWORD, 0x0F),
+    ("2F 60 60 00 08 00 00 00", cia402_protocol.MODE, 8),
     ("23 00 14 01 01 02 00 80", sdo.Object(0x1400, 1, 4, ""), 0x8000_0201),
     ("2F 00 16 00 00 00 00 00", sdo.Object(0x1600, 0, 1, ""), 0),
     ("23 00 16 01 10 00 40 60", sdo.Object(0x1600, 1, 4, ""), 0x6040_0010),
@@ -60,22 +60,22 @@ def test_reads_are_those_of_canopens_tests():
 
 def test_a_position_is_read_as_in_the_capture():
     answer = Frame(0x581, bytes.fromhex("43 64 60 00 FE 3F 00 00"))
-    assert sdo.reading(1, cia402_setup.POSITION).receive(answer, False) == answer
-    assert sdo.value_in(answer, cia402_setup.POSITION) == 16_382
+    assert sdo.reading(1, cia402_protocol.POSITION).receive(answer, False) == answer
+    assert sdo.value_in(answer, cia402_protocol.POSITION) == 16_382
 
 
 @relaxed
 @given(st.integers(-(2**31), 2**31 - 1))
 def test_positions_have_signs(value):
     answer = Frame(0x581, b"\x43\x64\x60\x00" + struct.pack("<i", value))
-    assert sdo.value_in(answer, cia402_setup.POSITION) == value
-    ((frame, _),) = sdo.writing(1, cia402_setup.TARGET, value).packets(True)
+    assert sdo.value_in(answer, cia402_protocol.POSITION) == value
+    ((frame, _),) = sdo.writing(1, cia402_protocol.TARGET, value).packets(True)
     assert struct.unpack("<i", frame.data[4:]) == (value,)
 
 
 def test_an_answer_shorter_than_expected_keeps_its_own_size():
     answer = Frame(0x581, bytes.fromhex("4F 61 60 00 FF AA AA AA"))
-    assert sdo.value_in(answer, cia402_setup.MODE_SHOWN) == -1
+    assert sdo.value_in(answer, cia402_protocol.MODE_SHOWN) == -1
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_an_answer_shorter_than_expected_keeps_its_own_size():
     ],
 )
 def test_what_is_no_answer_is_none(frame_id, text):
-    assert sdo.reading(1, cia402_setup.POSITION).receive(Frame(frame_id, bytes.fromhex(text)), True) is None
+    assert sdo.reading(1, cia402_protocol.POSITION).receive(Frame(frame_id, bytes.fromhex(text)), True) is None
 
 
 @pytest.mark.parametrize(
@@ -107,26 +107,26 @@ def test_what_is_no_answer_is_none(frame_id, text):
 )
 def test_a_write_is_answered_by_its_confirmation_or_an_abort(text, is_answer):
     frame = Frame(0x581, bytes.fromhex(text))
-    assert sdo.writing(1, cia402_setup.CONTROLWORD, 6).receive(frame, False) == (frame if is_answer else None)
+    assert sdo.writing(1, cia402_protocol.CONTROLWORD, 6).receive(frame, False) == (frame if is_answer else None)
 
 
 @relaxed
 @given(st.binary(max_size=8), st.integers(0, 0x7FF))
 def test_no_bytes_break_a_question(data, frame_id):
-    answer = sdo.reading(1, cia402_setup.POSITION).receive(Frame(frame_id, data), False)
+    answer = sdo.reading(1, cia402_protocol.POSITION).receive(Frame(frame_id, data), False)
     if answer is not None:
         assert data[1:4] == b"\x64\x60\x00"
 
 
 def test_aborts_are_answers_and_have_words():
     answer = Frame(0x581, bytes.fromhex("80 60 60 00 30 00 09 06"))
-    assert sdo.writing(1, cia402_setup.MODE, 8).receive(answer, False) == answer
+    assert sdo.writing(1, cia402_protocol.MODE, 8).receive(answer, False) == answer
     assert sdo.abort_words(0x0609_0030) == "it does not allow that value, abort code 06090030"
     assert "abort code DEADBEEF" in sdo.abort_words(0xDEAD_BEEF)
 
 
 def test_the_node_is_started_as_in_the_facts():
-    frame = cia402_setup._order(sdo.Node(2, ARM.joints[2]), cia402_setup.START_NODE)
+    frame = cia402_setup._order(sdo.Node(2, ARM.joints[2]), cia402_protocol.START_NODE)
     assert (frame.id, frame.data, frame.kind) == (0x000, b"\x01\x03", STANDARD)
 
 
@@ -156,8 +156,8 @@ def test_interpolation_times_fit_a_byte_and_are_close(period_s):
 def test_no_statusword_is_both_enabled_and_failed(statusword, code):
     found = cia402.common_status(statusword, code)
     state = cia402_setup.state_of(statusword)
-    assert bool(found & status.ENABLED) == (state == cia402_setup.OPERATION_ENABLED)
-    assert bool(found & status.PROTECTED) == (state in (cia402_setup.FAULT, cia402_setup.FAULT_REACTION))
+    assert bool(found & status.ENABLED) == (state == cia402_protocol.OPERATION_ENABLED)
+    assert bool(found & status.PROTECTED) == (state in (cia402_protocol.FAULT, cia402_protocol.FAULT_REACTION))
     assert cia402_setup.state_words(state)
 
 

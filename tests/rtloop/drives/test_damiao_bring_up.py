@@ -13,7 +13,6 @@ from codec_rig import Host
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.drives import damiao_setup as setup
 from rtloop.drives import fields
 from rtloop.drives.damiao_setup import bring_up, disable, setpoint_bytes
 from rtloop.memory.frame_words import STANDARD
@@ -21,6 +20,7 @@ from rtloop.process.initial_state import new_loop
 from rtloop.service.conversation import DialogueFailed
 from rtloop.service.port import Frame
 from shm.words import Unreferenced
+from sim.drives.damiao import ACC, CTRL_MODE, DEC, FEEDBACK, PMAX, READ, TIMEOUT, TMAX, VMAX, WRITE
 
 ARM, PLANNING = load_arm("damiao6"), load_arm("damiao6_pv")
 ENABLED_HERE = bytes.fromhex("118A3C7FF7FF2823")
@@ -36,13 +36,13 @@ class Motor(Host):
         super().__init__(arm, self.answer, clears_protection=clears_protection)
         self.feedback = list(feedback)
         self.registers = {
-            setup.PMAX: struct.pack("<f", 12.5),
-            setup.VMAX: struct.pack("<f", 10.0),
-            setup.TMAX: struct.pack("<f", 28.0),
-            setup.CONTROL_MODE: struct.pack("<I", 1 if arm is ARM else 2),
-            setup.TIMEOUT: bytes(4),
-            setup.ACC: struct.pack("<f", 3.5),
-            setup.DEC: struct.pack("<f", -3.5),
+            PMAX: struct.pack("<f", 12.5),
+            VMAX: struct.pack("<f", 10.0),
+            TMAX: struct.pack("<f", 28.0),
+            CTRL_MODE: struct.pack("<I", 1 if arm is ARM else 2),
+            TIMEOUT: bytes(4),
+            ACC: struct.pack("<f", 3.5),
+            DEC: struct.pack("<f", -3.5),
         } | registers.pop("held", {})
         self.keeps = registers.pop("keeps", ())
         assert not registers
@@ -61,11 +61,11 @@ class Motor(Host):
             return
         number, operation, register = struct.unpack("<HBB", frame.data[:4])
         assert number == 1
-        if operation == setup.FEEDBACK and self.feedback:
+        if operation == FEEDBACK and self.feedback:
             yield self.feedback.pop(0) if len(self.feedback) > 1 else self.feedback[0]
-        if operation == setup.WRITE and register not in self.keeps:
+        if operation == WRITE and register not in self.keeps:
             self.registers[register] = frame.data[4:]
-        if operation in (setup.READ, setup.WRITE) and register in self.registers:
+        if operation in (READ, WRITE) and register in self.registers:
             yield frame.data[:4] + self.registers[register]
 
 
@@ -110,9 +110,9 @@ def test_an_enabled_motor_keeps_the_torque_with_which_it_holds() -> None:
 
 def test_what_differs_is_written_to_volatile_memory_and_said() -> None:
     held = {
-        setup.CONTROL_MODE: struct.pack("<I", 1),
-        setup.ACC: struct.pack("<f", 20.0),
-        setup.TIMEOUT: struct.pack("<I", 10_000),
+        CTRL_MODE: struct.pack("<I", 1),
+        ACC: struct.pack("<f", 20.0),
+        TIMEOUT: struct.pack("<I", 10_000),
     }
     motor = Motor(PLANNING, LIMP_HERE, LIMP_HERE, ENABLED_HERE, held=held)
     sent, _ = motor.hold(bring_up(motor, 0))
@@ -138,9 +138,9 @@ def test_an_error_is_cleared_only_when_a_person_asks() -> None:
     assert commands(motor.hold(bring_up(motor, 0))[0])[0] == "001# FF FF FF FF FF FF FF FB"
 
 
-OTHER_RANGE = {setup.VMAX: struct.pack("<f", 45.0)}
-NO_NUMBER = {setup.PMAX: struct.pack("<f", math.nan)}
-OTHER_MODE = {setup.CONTROL_MODE: struct.pack("<I", 2)}
+OTHER_RANGE = {VMAX: struct.pack("<f", 45.0)}
+NO_NUMBER = {PMAX: struct.pack("<f", math.nan)}
+OTHER_MODE = {CTRL_MODE: struct.pack("<I", 2)}
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ OTHER_MODE = {setup.CONTROL_MODE: struct.pack("<I", 2)}
         ([b"\x02" + LIMP_HERE[1:]], {}, "does not answer"),  # the answer of motor 2
         ([LIMP_HERE], {"held": OTHER_RANGE}, r"velocity range is ±45 rad/s \(register 22, VMAX\), but the arm .* ±10"),
         ([LIMP_HERE], {"held": NO_NUMBER}, "position range is ±nan rad"),
-        ([LIMP_HERE], {"held": {setup.TMAX: b""}}, "stopped answering while its register 23 was read"),
+        ([LIMP_HERE], {"held": {TMAX: b""}}, "stopped answering while its register 23 was read"),
         ([ENABLED_HERE], {"held": OTHER_MODE}, "is enabled in mode 2 .* wants 1 .* switch the drive off"),
         ([LIMP_HERE], {"held": OTHER_MODE, "keeps": (10,)}, "keeps register 10 at 02 00 00 00 although 01 00 00 00"),
         ([LIMP_HERE], {}, r"does not let itself be enabled \(its status is limp\)"),
@@ -176,7 +176,7 @@ def test_a_joint_whose_angle_the_encoder_does_not_know_is_for_a_person(change: d
     drive = values[0]["drive"] | change.get("drive", {})
     values[0] |= change | {"drive": drive}
     arm = ArmConfig.model_validate(ARM.model_dump() | {"joints": values})
-    motor = Motor(arm, LIMP_HERE, LIMP_HERE, ENABLED_HERE, held={setup.CONTROL_MODE: struct.pack("<I", 1)})
+    motor = Motor(arm, LIMP_HERE, LIMP_HERE, ENABLED_HERE, held={CTRL_MODE: struct.pack("<I", 1)})
     assert motor.hold(bring_up(motor, 0))[1].reason == Unreferenced.INCREMENTAL
     assert new_loop(arm, 0, 0)[0]["joints"]["knows_its_angle"][:2].tolist() == [0, 1]
 

@@ -19,7 +19,15 @@ from virtual import START_NS, VirtualArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.drives import cia402_setup, damiao_setup, myactuator_setup, robstride_protocol, robstride_setup
+from rtloop.drives import (
+    cia402_protocol,
+    cia402_setup,
+    damiao_protocol,
+    damiao_setup,
+    myactuator_setup,
+    robstride_protocol,
+    robstride_setup,
+)
 from rtloop.drives.arming import ARMED, Arming, stayed_armed
 from rtloop.drives.myactuator_setup import CLOCK_TOLERANCE, Uptime
 from rtloop.drives.power import Marks
@@ -397,14 +405,14 @@ FIRST_LOOKS = {
     "cia402_6": (
         cia402_setup,
         "_sound_state",
-        lambda state: cia402_setup.SWITCH_ON_DISABLED,
-        lambda state: cia402_setup.OPERATION_ENABLED,
+        lambda state: cia402_protocol.SWITCH_ON_DISABLED,
+        lambda state: cia402_protocol.OPERATION_ENABLED,
     ),
     "damiao6": (
         damiao_setup,
         "_feedback",
-        lambda found: found._replace(code=damiao_setup.LIMP),
-        lambda found: found._replace(code=damiao_setup.ENABLED),
+        lambda found: found._replace(code=damiao_protocol.LIMP),
+        lambda found: found._replace(code=damiao_protocol.ENABLED),
     ),
     "robstride6": (
         robstride_setup,

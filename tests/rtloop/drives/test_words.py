@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rtloop.drives import fields, numbers, words
-from rtloop.drives.numbers import Number, Single
+from rtloop.drives.numbers import Bits, Number, Single
 
 relaxed = settings(deadline=None)
 finite_singles = st.floats(allow_nan=False, allow_infinity=False, width=32)
@@ -83,11 +83,30 @@ def test_a_number_that_is_placed_is_read_again_and_stands_alone(number: Number, 
 
 
 @relaxed
+@given(st.integers(0, 63), st.integers(1, 16), st.binary(min_size=8, max_size=8), st.integers(0, 0xFFFF))
+@example(0, 16, b"\x80" + bytes(7), 0x8000)
+@example(52, 12, b"\xff" * 8, 0xFFF)
+@example(63, 1, b"\xff" * 8, 1)
+def test_bits_of_a_table_stand_where_the_frame_as_one_number_has_them(
+    at: int, size: int, data: bytes, value: int
+) -> None:
+    where = Bits(at, min(size, 64 - at))
+    kept = value % (1 << where.size)
+    expected = int.from_bytes(data, "big") >> 64 - at - where.size & (1 << where.size) - 1
+    word = int.from_bytes(data, "little", signed=True)
+    assert words.bits(word, where) == numbers.unpacked(data, where) == expected
+    made = words.placed_bits(where, kept).to_bytes(8, "little", signed=True)
+    assert made == numbers.packed({where: kept}) == (kept << 64 - at - where.size).to_bytes(8, "big")
+    with pytest.raises(OverflowError):
+        numbers.packed({where: 1 << where.size})
+
+
+@relaxed
 @given(st.integers(0, 4), finite_singles)
 def test_a_single_of_a_table_is_read_and_placed_as_struct_does(at: int, value: float) -> None:
     single, data = Single(at), struct.pack("<f", value).rjust(at + 4, b"\0").ljust(8, b"\0")
     word = int.from_bytes(data, "little", signed=True)
-    assert words.single(word, single) == numbers.unpacked_single(data, single) == value
+    assert words.single(word, single) == numbers.unpacked(data, single) == value
     assert signed(words.placed_single(single, value)) == word
     assert numbers.packed({single: value}) == data
 
