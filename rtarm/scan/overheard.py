@@ -11,22 +11,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from config.drives.odrive import COMMAND_MASK, NODE_BIT
 from rtarm.scan.heard import Heard, by_number
 from rtarm.scan.wires import Frame
+from rtloop.drives import odrive_protocol as odrive
+from rtloop.drives.numbers import unpacked
 
-ODRIVE_HEARTBEAT, ODRIVE_COMMANDS = 0x01, 0x20
 ODRIVE_STATES = range(15)
 """Axis states: 0 undefined to 13 encoder Hall phase calibration with firmware 0.5.6, 14 anticogging with 0.6."""
-ODRIVE_USUAL = {1: "idle", 8: "closed loop"}
+ODRIVE_USUAL = {odrive.IDLE: "idle", odrive.CLOSED_LOOP: "closed loop"}
 CANOPEN_HEARTBEAT, CANOPEN_NODES = 0x700, range(1, 128)
 CANOPEN_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 
 
 def drive_of(frame: Frame) -> Heard | None:
     """Whose heartbeat a standard frame looks like; None for any other frame."""
-    node, command = divmod(frame.id, ODRIVE_COMMANDS)
-    if command == ODRIVE_HEARTBEAT and len(frame.data) == 8 and frame.data[4] in ODRIVE_STATES:
-        error, state = int.from_bytes(frame.data[:4], "little"), frame.data[4]
+    node, command = frame.id >> NODE_BIT, frame.id & COMMAND_MASK
+    is_heartbeat = command == odrive.HEARTBEAT and len(frame.data) == odrive.ANSWER_BYTES
+    if is_heartbeat and (state := unpacked(frame.data, odrive.STATE)) in ODRIVE_STATES:
+        error = unpacked(frame.data, odrive.ERROR)
         words = f"error {error:#x}" if error else ODRIVE_USUAL.get(state, f"axis state {state}")
         return Heard("odrive", "ODrive axis", node, words, {"node_id": node})
     node = frame.id - CANOPEN_HEARTBEAT

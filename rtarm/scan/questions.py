@@ -42,26 +42,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from config.drives.cia402 import SDO_REPLY, SDO_REQUEST
+from config.drives.cia402 import SDO_REPLY
 from config.drives.damiao import HIGHEST_ID, REGISTERS_ID
 from config.drives.myactuator import HIGHEST_ID as HIGHEST_MYACTUATOR
 from config.drives.myactuator import REPLY, REQUEST
 from rtarm.scan.heard import Heard
 from rtarm.scan.wires import Frame
-from rtloop.drives.damiao_setup import READ
+from rtloop.drives import damiao_protocol as damiao
+from rtloop.drives import mks_protocol as mks
+from rtloop.drives import myactuator_protocol as myactuator
+from rtloop.drives import sdo
+from rtloop.drives.cia402_protocol import DEVICE_TYPE, PROFILE
 from rtloop.drives.errors import error_words
-from rtloop.drives.mks_protocol import READ_STATE
-from rtloop.drives.myactuator_protocol import ERROR, ERRORS, STATUS
-from rtloop.drives.numbers import unpacked
-from rtloop.drives.sdo import READ_REPLY, READ_REPLY_MASK
+from rtloop.drives.numbers import Values, packed, unpacked
+from rtloop.memory.frame_words import STANDARD
+from rtloop.service import port
 
 HOST, ANYBODY = 0xFD, 0xFE
 """Of RobStride: who asks, as the maker's program does; for whom motors say their id."""
-MASTER_ID = 7
-"""Damiao's register of the identifier that a motor answers with."""
-DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0))
-"""SDO upload of object 1000: its low word is the device profile (CiA 301)."""
-DRIVE_PROFILE = 402
 MKS_STATES = ("it reports no state", "stands", "speeds up", "slows down", "moves", "homes", "calibrates")
 
 
@@ -90,43 +88,57 @@ def _robstride(frame: Frame) -> Heard | None:
 
 def _myactuator(frame: Frame) -> Heard | None:
     number = frame.id - REPLY
-    if frame.extended or not 1 <= number <= HIGHEST_MYACTUATOR or len(frame.data) != 8 or frame.data[0] != STATUS:
+    if frame.extended or not 1 <= number <= HIGHEST_MYACTUATOR or len(frame.data) != 8:
         return None
-    error = unpacked(frame.data, ERROR)
-    state = error_words(error, ERRORS) if error else "no error"
+    if unpacked(frame.data, myactuator.COMMAND) != myactuator.STATUS:
+        return None
+    error = unpacked(frame.data, myactuator.ERROR)
+    state = error_words(error, myactuator.ERRORS) if error else "no error"
     return Heard("myactuator", "MyActuator motor", number, state, {"motor_id": number})
 
 
 def _damiao(frame: Frame) -> Heard | None:
-    number, data = int.from_bytes(frame.data[:2], "little"), frame.data
-    if frame.extended or len(data) != 8 or not 1 <= number <= HIGHEST_ID or data[2:4] != bytes((READ, MASTER_ID)):
+    if frame.extended or len(frame.data) != 8:
         return None
-    master_id = int.from_bytes(data[4:], "little")
+    number = unpacked(frame.data, damiao.OWNER)
+    if not 1 <= number <= HIGHEST_ID or frame.data[:4] != _damiao_question(number).data[:4]:
+        return None
+    master_id = unpacked(frame.data, damiao.WHOLE)
     settings = {"motor_id": number, "master_id": master_id}
     return Heard("damiao", "Damiao motor", number, f"answers on {master_id:#x}", settings)
 
 
 def _mks(frame: Frame) -> Heard | None:
     data = frame.data
-    if frame.extended or len(data) != 3 or data[0] != READ_STATE or data[2] != (frame.id + sum(data[:2])) & 0xFF:
+    if frame.extended or len(data) != 3 or data != mks.sealed(frame.id, data[:2]) or data[0] != mks.READ_STATE:
         return None
     state = MKS_STATES[data[1]] if data[1] < len(MKS_STATES) else f"state {data[1]}"
     return Heard("mks", "MKS drive", frame.id, state, {"can_id": frame.id})
 
 
 def _cia402(frame: Frame) -> Heard | None:
-    node, data = frame.id - SDO_REPLY, frame.data
-    if frame.extended or not 1 <= node <= 127 or len(data) != 8:
+    node, reply = frame.id - SDO_REPLY, port.Frame(frame.id, frame.data, kind=STANDARD)
+    if frame.extended or not 1 <= node <= 127 or not sdo.reading(node, DEVICE_TYPE).is_answer(reply):
         return None
-    if data[0] & READ_REPLY_MASK != READ_REPLY or data[1:4] != DEVICE_TYPE[1:4]:
+    if reply.data[0] == sdo.ABORT:
         return None
-    profile = int.from_bytes(data[4:6], "little")
-    called = "CANopen drive" if profile == DRIVE_PROFILE else "CANopen node"
+    profile = sdo.value_in(reply, DEVICE_TYPE) & 0xFFFF
+    called = "CANopen drive" if profile == PROFILE else "CANopen node"
     return Heard("cia402", called, node, f"profile {profile}", {"node_id": node})
 
 
 def _mks_question(can_id: int) -> Frame:
-    return Frame(can_id, bytes((READ_STATE, (can_id + READ_STATE) & 0xFF)), extended=False)
+    return Frame(can_id, mks.sealed(can_id, bytes((mks.READ_STATE,))), extended=False)
+
+
+def _damiao_question(motor_id: int) -> Frame:
+    asked: Values = {damiao.OWNER: motor_id, damiao.OPERATION: damiao.READ, damiao.REGISTER: damiao.MASTER_ID.number}
+    return Frame(REGISTERS_ID, packed(asked), extended=False)
+
+
+def _cia402_question(node: int) -> Frame:
+    (request,) = sdo.reading(node, DEVICE_TYPE).frames
+    return Frame(request.id, request.data, extended=False)
 
 
 EVERYBODY = (
@@ -142,7 +154,7 @@ NAMED = (
         "myactuator",
         frozenset((1_000_000, 500_000)),
         tuple(
-            Frame(REQUEST + number, bytes((STATUS,)).ljust(8, b"\0"), extended=False)
+            Frame(REQUEST + number, packed({myactuator.COMMAND: myactuator.STATUS}), extended=False)
             for number in range(1, HIGHEST_MYACTUATOR + 1)
         ),
         _myactuator,
@@ -156,16 +168,13 @@ NAMED = (
     Question(
         "damiao",
         frozenset((1_000_000, 500_000, 250_000, 125_000)),
-        tuple(
-            Frame(REGISTERS_ID, bytes((number, 0, READ, MASTER_ID)).ljust(8, b"\0"), extended=False)
-            for number in range(1, HIGHEST_ID + 1)
-        ),
+        tuple(map(_damiao_question, range(1, HIGHEST_ID + 1))),
         _damiao,
     ),
     Question(
         "cia402",
         frozenset((1_000_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000)),
-        tuple(Frame(SDO_REQUEST + node, DEVICE_TYPE, extended=False) for node in range(1, 128)),
+        tuple(map(_cia402_question, range(1, 128))),
         _cia402,
     ),
 )
