@@ -161,5 +161,8 @@ NOT_RUN: dict[str, str] = {
     "tests/end_to_end/test_lost_references.py",
     "PYTHONPATH=tests python -m *": "minutes to hours; its options are checked here",
     "python -m pytest *": "is what runs this",
+    "cp -r examples/nemo/. .": "tests/docs/test_add_a_drive.py, in a copy of the tree",
+    "sed * config/arms/odrive6.yaml > config/arms/nemo6.yaml": "tests/docs/test_add_a_drive.py",
+    "rtarm config check nemo6": "tests/docs/test_add_a_drive.py",
 }
 """Patterns (fnmatch) of commands that are not run here, and why."""
