@@ -46,7 +46,7 @@ ROOMS_OF_RTARM = (
     ("top",),
     ("recording",),
     ("launch",),
-    ("client", "drives"),
+    ("client", "drives", "led"),
     ("arm", "calibrate", "demo", "teach", "view"),
     ("bench", "commissioning", "jog", "replay"),
     ("cli",),

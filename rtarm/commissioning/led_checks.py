@@ -13,8 +13,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from config.schema import ArmConfig
-from rtarm.commissioning.led import AT_EASE_RAD, DECIDED_S, FASTEST, Cause, End, Led, seconds_for, silent_for_s
 from rtarm.console.errors import Refusal
+from rtarm.led.joint import AT_EASE_RAD, DECIDED_S, FASTEST, Cause, End, Led, seconds_for, silent_for_s
 from rtloop.drives.setup import power_proof_of
 from rtloop.kept.commissioned import PowerProof
 from rtloop.offline.commissioning.finding import (

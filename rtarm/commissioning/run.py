@@ -15,22 +15,22 @@ from pathlib import Path
 from typing import Any
 
 from config.loader import load_arm
-from config.schema import ArmConfig
 from rtarm.commissioning.led_checks import LedBench, checks_of, judge_answers
-from rtarm.commissioning.process import NOT_SEEN, LedProcess, led_alone
 from rtarm.commissioning.report import Report
 from rtarm.console.errors import ExitCode, Refusal
 from rtarm.console.interrupt import Interrupted, signals_raise
 from rtarm.console.niceness import nice_thread
 from rtarm.console.person import Person, Quit, agrees
 from rtarm.drives.settings import OfflineProcess, offline_process
+from rtarm.led.joint import alone
+from rtarm.led.process import BRING_UP, LedProcess, led_alone, require_at_rest, with_unseen
 from rtarm.recording.follow import LOOK_S, Follower
-from rtloop.kept import commissioned, reference_store
+from rtloop.kept import commissioned
 from rtloop.kept.commissioned import Commissioned, NotReadable, PowerProof
 from rtloop.offline import families
 from rtloop.offline.commissioning.finding import Finding, Verdict
 from shm import files
-from shm.errors import NotRunning, SharedMemoryError, led_already
+from shm.errors import NotRunning, SharedMemoryError
 
 INTRODUCTION = (
     "One drive is checked, and only after your y; each move is told before it is made. The joint must be free to turn "
@@ -63,7 +63,7 @@ def commission(argument: str, name: str, output: Path | None, overrides: Mapping
     opened: list[OfflineProcess | LedProcess] = []
     try:
         with signals_raise():
-            _require_at_rest(arm)
+            require_at_rest(arm, "Drives are checked")
             report.make()
             if families.knows("commissioning", arm.joints[joint].drive):
                 _by_itself(argument, overrides, person, report, opened)
@@ -78,7 +78,7 @@ def commission(argument: str, name: str, output: Path | None, overrides: Mapping
         report.ended = str(problem)
         code = ExitCode.LOOP_DIED if isinstance(problem, NotRunning) else ExitCode.REFUSED
     if opened and (unseen := opened[0].refused):  # however it ended
-        report.ended = _with_unseen(report.ended, unseen)
+        report.ended = with_unseen(report.ended, unseen)
         code = code if code is ExitCode.LOOP_DIED else ExitCode.LOOP_REFUSED
     if not report.findings:
         if report.made:  # never what was there before
@@ -91,20 +91,6 @@ def commission(argument: str, name: str, output: Path | None, overrides: Mapping
     if report.ended:
         raise Refusal(report.ended, code)
     return report.agrees
-
-
-def _require_at_rest(arm: ArmConfig) -> None:
-    """Raise Refusal where the arm runs."""
-    try:
-        files.open_state(arm.name).close()
-    except NotRunning:
-        return
-    raise Refusal(led_already("Drives are checked"), ExitCode.LOOP_REFUSED)
-
-
-def _with_unseen(ended: str, unseen: str) -> str:
-    """How it ended, and why its drive was not seen to stand, where that is not the same."""
-    return " ".join(sentence for sentence in (ended, "" if unseen in ended else unseen, NOT_SEEN) if sentence)
 
 
 # --- a ZDT drive, by dialogues of its own
@@ -165,15 +151,10 @@ def _led(person: Person, report: Report, opened: list[OfflineProcess | LedProces
     arm, joint = report.arm, report.joint
     name = arm.joints[joint].name
     person.tell(INTRODUCTION)
-    if not agrees(
-        person,
-        f"{name} is brought up alone: its drive is asked what rtarm asks of it, set up as the arm file wants, and "
-        "holds the joint where it stands. Bring it up?",
-    ):
+    if not agrees(person, BRING_UP.format(name=name)):
         raise Quit("you did not want it")
-    with led_alone(arm, joint) as (led, process):
+    with led_alone(arm, joint, alone(arm, joint)) as (led, process):
         opened.append(process)
-        _forget_mark(arm, joint)
         with _recorded(arm.name, report.folder / RECORDING), led.stopped_by_any_end():
             refused = "" if process.brought_up() else "\n".join(process.told)
             if refused:
@@ -203,16 +184,6 @@ def _record(before: Commissioned, bench: LedBench) -> Commissioned:
         retargets=bench.found["retarget"].good if "retarget" in bench.found else None,
         brakes_in_silence=bench.brakes_in_silence,
     )
-
-
-def _forget_mark(arm: ArmConfig, joint: int) -> None:
-    """What its drive had as a proof of its power proves nothing after a bench; raises Refusal."""
-    marks = reference_store.power_marks(arm)
-    if marks.pop(joint, None) is not None:
-        try:
-            reference_store.keep_power_marks(arm, marks)
-        except reference_store.NotSaved as problem:
-            raise Refusal(str(problem)) from None
 
 
 # --- what both share

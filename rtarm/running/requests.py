@@ -415,25 +415,32 @@ def stands_at(snapshot: np.ndarray, index: int, joint: str) -> str:
 def enable(arm: str, language: Language = "en") -> str:
     """Enable limp drives, wait until the arm holds, and say so."""
     with connect(arm, language) as connection:
-        if sentence := connection.fault(connection.snapshot()):
-            latched = "A fault is latched; `rtarm clear-fault` clears it and enables the drives. {fault}"
-            raise Refusal(said(language, latched, fault=sentence))
-        connection.order(Request.ENABLE)
-        after = connection.wait(
-            lambda now: int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING, Mode.FAULT),
-            connection.patience.bring_up_s,
-            said(
-                language,
-                "The drives of {arm} are not enabled after {seconds:.1f} s: see `rtarm status`.",
-                arm=arm,
-                seconds=connection.patience.bring_up_s,
-            ),
-        )
-        if sentence := connection.fault(after):
-            raise Refusal(sentence)
+        after = enabled(connection)
         why_lost = connection.why_lost(after)
     done = said(language, "The drives of {arm} are enabled; the arm holds where it stands.", arm=arm)
     return " ".join([done, *_held_words(after, language), *why_lost])
+
+
+def enabled(connection: Connection) -> np.ndarray:
+    """Enable limp drives and wait until the arm holds: the snapshot then; raises Refusal where it does not."""
+    arm, language = connection.arm, connection.language
+    if sentence := connection.fault(connection.snapshot()):
+        latched = "A fault is latched; `rtarm clear-fault` clears it and enables the drives. {fault}"
+        raise Refusal(said(language, latched, fault=sentence))
+    connection.order(Request.ENABLE)
+    after = connection.wait(
+        lambda now: int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING, Mode.FAULT),
+        connection.patience.bring_up_s,
+        said(
+            language,
+            "The drives of {arm} are not enabled after {seconds:.1f} s: see `rtarm status`.",
+            arm=arm,
+            seconds=connection.patience.bring_up_s,
+        ),
+    )
+    if sentence := connection.fault(after):
+        raise Refusal(sentence)
+    return after
 
 
 def _held_words(snapshot: np.ndarray, language: Language) -> list[str]:
@@ -443,19 +450,25 @@ def _held_words(snapshot: np.ndarray, language: Language) -> list[str]:
 
 def let_go(arm: str, kind: Request) -> str:
     """Let the drives of a standing arm go limp (DISABLE, or FREE to lead it by hand), and say so."""
-    mode = Mode.DISABLED if kind == Request.DISABLE else Mode.FREE
     with connect(arm) as connection:
-        connection.order(kind)
-        after = connection.wait(
-            lambda now: int(now["mode"]) == Mode.FAULT or (int(now["mode"]) == mode and _is_disabled(now)),
-            RELEASE_PATIENCE_S,
-            f"The drives of {arm} are not limp after {RELEASE_PATIENCE_S:g} s: keep clear and see `rtarm status`.",
-        )
-        if sentence := connection.fault(after):
-            raise Refusal(sentence)
-    if mode == Mode.FREE:
+        limp(connection, kind)
+    if kind == Request.FREE:
         return f"The drives of {arm} are limp: lead it by hand; `rtarm enable` takes hold of it where it stands."
     return f"The drives of {arm} are limp and it is out of service until `rtarm enable`."
+
+
+def limp(connection: Connection, kind: Request) -> None:
+    """The same, until the drives are limp; raises Refusal where they are not."""
+    mode = Mode.DISABLED if kind == Request.DISABLE else Mode.FREE
+    connection.order(kind)
+    after = connection.wait(
+        lambda now: int(now["mode"]) == Mode.FAULT or (int(now["mode"]) == mode and _is_disabled(now)),
+        RELEASE_PATIENCE_S,
+        f"The drives of {connection.arm} are not limp after {RELEASE_PATIENCE_S:g} s: keep clear and see `rtarm "
+        "status`.",
+    )
+    if sentence := connection.fault(after):
+        raise Refusal(sentence)
 
 
 def _is_disabled(snapshot: np.ndarray) -> bool:

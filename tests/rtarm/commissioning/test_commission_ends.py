@@ -14,10 +14,10 @@ import pytest
 from config.loader import load_arm
 from rtarm.calibrate.run import ProcessDrives
 from rtarm.commissioning import run
-from rtarm.commissioning.process import NOT_SEEN
 from rtarm.commissioning.report import Report
 from rtarm.console.errors import ExitCode, Refusal
 from rtarm.console.person import Quit
+from rtarm.led.process import NOT_SEEN
 from shm.errors import NotRunning, SharedMemoryError
 
 LIMP = "The drive of joint6 is limp."
@@ -65,7 +65,7 @@ class Process:
 @pytest.fixture
 def commission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., bool]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr(run, "_require_at_rest", lambda _: None)
+    monkeypatch.setattr(run, "require_at_rest", lambda *_: None)
     monkeypatch.setattr(run, "_recorded", lambda *_: nullcontext())
     overrides = {"bus": {"channel": "/dev/ttyACM0"}}
 

@@ -13,8 +13,8 @@ from virtual import VirtualArm
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtarm.commissioning import led_checks
-from rtarm.commissioning.led import Led, alone
 from rtarm.commissioning.led_checks import LedBench, checks_of, judge_answers, way_of
+from rtarm.led.joint import Led, alone
 from rtloop.dialogues.referencing import referencing_asked_for
 from rtloop.kept.commissioned import PowerProof
 from rtloop.offline.commissioning.finding import Finding, Verdict

@@ -297,7 +297,7 @@ def test_a_drive_that_was_not_seen_to_stand_is_not_said_to(led: Stack, tmp_path:
         assert at.code() == 2
         assert "The drive of joint2 did not answer at the end. The drive was not seen to stand: use" in flat(at)
         assert "the drive stands" not in at.said
-    assert not list(Path(tempfile.gettempdir()).glob(f"rtarm-commission-{led.name}-*"))
+    assert not list(Path(tempfile.gettempdir()).glob(f"rtarm-led-{led.name}-*"))
 
 
 @pytest.mark.process

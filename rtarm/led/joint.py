@@ -1,7 +1,6 @@
-"""A joint that its ordinary control process leads, alone on its bench: what is asked of it, and what is seen of it.
+"""A joint that its ordinary control process leads alone: what is asked of it, and what is seen of it.
 
-Bench tests of families whose own dialogues check nothing more: a drive is brought up, led, fallen silent to and cleared
-by the very code that does so every day.
+A drive of any family is brought up, led, fallen silent to, let go and cleared by the very code that does so every day.
 """
 
 from __future__ import annotations
@@ -288,10 +287,11 @@ def seconds_for(arm: ArmConfig, way_rad: float, share: float) -> float:
 def alone(arm: ArmConfig, joint: int) -> dict[str, Any]:
     """What an arm file says of one of its joints alone, which is taken over as it stands."""
     values = arm.model_dump(mode="json", exclude_unset=True)
-    kept = {name: value for name, value in values.items() if name not in ("gripper", "parking", "kinematics", "homing")}
+    kept = {name: value for name, value in values.items() if name not in ("gripper", "parking", "kinematics")}
     return {
         **kept,
         "joints": [values["joints"][joint]],
+        "homing": {"timeout_s": arm.homing.timeout_s},
         "control": {**values["control"], "init_mode": 1},
         "realtime": {**values.get("realtime", {}), "require": False},
     }

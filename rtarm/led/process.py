@@ -1,7 +1,7 @@
-"""The control process of one joint alone, and the way to lead it: for bench tests of what it leads every day.
+"""The control process of one joint alone, and the way to lead it.
 
 It runs with an arm file of that joint and a state folder of its own, so that nothing which is known of the whole arm
-(references, counts, marks) is changed by what happens at the bench.
+(references, counts, marks) is changed by what happens here; the mark of its drive alone is forgotten.
 """
 
 from __future__ import annotations
@@ -13,23 +13,30 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rosfront.link import Link, attach
-from rtarm.commissioning.led import Led, alone
 from rtarm.console.errors import ExitCode, Refusal
 from rtarm.console.interrupt import undisturbed
+from rtarm.led.joint import Led
 from rtarm.processes import READY, describe_end, plain_environment, shared_death
-from shm.errors import NotRunning
+from rtloop.kept import reference_store
+from shm import files
+from shm.errors import NotRunning, led_already
 
 POLL_S = 0.002
 STOPPED_PATIENCE_S = 1.0
+BRING_UP = (
+    "{name} is brought up alone: its drive is asked what rtarm asks of it, set up as the arm file wants, and holds the "
+    "joint where it stands. Bring it up?"
+)
 NOT_SEEN = "The drive was not seen to stand: use the switch in the power line."
 TELLS = "rtloop: "
 """What its lines for people begin with."""
@@ -38,9 +45,9 @@ TELLS = "rtloop: "
 class LedProcess:
     """Such a process; `told` are its sentences so far."""
 
-    def __init__(self, arm: ArmConfig, joint: int, folder: Path) -> None:
-        file = folder / f"{arm.name}.yaml"
-        file.write_text(yaml.safe_dump(alone(arm, joint)), encoding="utf-8")
+    def __init__(self, values: Mapping[str, Any], folder: Path) -> None:
+        file = folder / f"{values['name']}.yaml"
+        file.write_text(yaml.safe_dump(values), encoding="utf-8")
         self.arm = load_arm(file)
         self.told: list[str] = []
         self.refused = ""
@@ -136,16 +143,17 @@ def _state_of(pid: int) -> str:
 
 
 @contextmanager
-def led_alone(arm: ArmConfig, joint: int) -> Iterator[tuple[Led, LedProcess]]:
-    """A joint of an arm that is being brought up alone, for as long as it is tested; raises Refusal."""
-    left_behind = f"rtarm-commission-{arm.name}-"  # of one that was killed: no other runs beside the arm's memory files
+def led_alone(arm: ArmConfig, joint: int, values: Mapping[str, Any]) -> Iterator[tuple[Led, LedProcess]]:
+    """A joint of an arm that is being brought up alone, with an arm file of these `values`; raises Refusal."""
+    left_behind = f"rtarm-led-{arm.name}-"  # of one that was killed: no other runs beside the arm's memory files
     for folder in Path(tempfile.gettempdir()).glob(f"{left_behind}*"):
         shutil.rmtree(folder, ignore_errors=True)
     with (
         tempfile.TemporaryDirectory(prefix=left_behind) as made,
-        closing(LedProcess(arm, joint, Path(made))) as process,
+        closing(LedProcess(values, Path(made))) as process,
         closing(process.attach()) as link,
     ):
+        _forget_mark(arm, joint)
 
         def pass_time() -> None:
             link.writer.beat()
@@ -164,3 +172,27 @@ def led_alone(arm: ArmConfig, joint: int) -> Iterator[tuple[Led, LedProcess]]:
         finally:
             process.close()
             process.refused = process.refused or led.not_seen_to_stand()
+
+
+def _forget_mark(arm: ArmConfig, joint: int) -> None:
+    """What its drive had as a proof of its power proves nothing once it was led by another process; raises Refusal."""
+    marks = reference_store.power_marks(arm)
+    if marks.pop(joint, None) is not None:
+        try:
+            reference_store.keep_power_marks(arm, marks)
+        except reference_store.NotSaved as problem:
+            raise Refusal(str(problem)) from None
+
+
+def require_at_rest(arm: ArmConfig, alone: str) -> None:
+    """Raise Refusal where the arm runs; `alone` begins the sentence, as of `shm.errors.led_already`."""
+    try:
+        files.open_state(arm.name).close()
+    except NotRunning:
+        return
+    raise Refusal(led_already(alone), ExitCode.LOOP_REFUSED)
+
+
+def with_unseen(ended: str, unseen: str) -> str:
+    """How it ended, and why its drive was not seen to stand, where that is not the same."""
+    return " ".join(sentence for sentence in (ended, "" if unseen in ended else unseen, NOT_SEEN) if sentence)
