@@ -1,11 +1,13 @@
-"""What follows from turns of a motor and from what a person saw or measured: pure arithmetic, in degrees."""
+"""What follows from turns of a motor and from what a person saw or measured: pure arithmetic, the same for all drives.
+
+Angles are in degrees. A motor's turns are those that its drive counts, which may be of the shaft behind its own gear.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
 from rtloop.offline.calibration.session import MOST_RPM, MOST_TURNS
 
 SLOW_DEG_S = 2.0
@@ -26,13 +28,13 @@ LEAST_MOTOR_DEG = 5.0
 class Move:
     """A move of one motor."""
 
-    counts: int
+    turns: float
     rpm: int
 
     @property
     def motor_deg(self) -> float:
         """By how much the motor turns."""
-        return self.counts * 360.0 / ENCODER_COUNTS_PER_REVOLUTION
+        return self.turns * 360.0
 
 
 def slow_rpm(ratio: float, motor_rpm: float) -> int:
@@ -53,7 +55,7 @@ def nudges(ratio: float, motor_rpm: float) -> list[Move]:
 
 def joint_move(joint_deg: float, ratio: float, motor_rpm: float) -> Move:
     """The move that turns a joint of this ratio by an angle, in the motor's own sense."""
-    return Move(round(joint_deg * ratio / 360.0 * ENCODER_COUNTS_PER_REVOLUTION), slow_rpm(ratio, motor_rpm))
+    return Move(joint_deg * ratio / 360.0, slow_rpm(ratio, motor_rpm))
 
 
 def most_joint_deg(ratio: float) -> float:
@@ -61,14 +63,14 @@ def most_joint_deg(ratio: float) -> float:
     return min(MOST_JOINT_DEG, MOST_TURNS * 360.0 / ratio)
 
 
-def motor_angle_deg(counts: int, ratio: float) -> float:
+def motor_angle_deg(turns: float, ratio: float) -> float:
     """The motor's turns as an angle of the joint, without direction and zero (m of the arm file)."""
-    return counts / ENCODER_COUNTS_PER_REVOLUTION * 360.0 / ratio
+    return turns * 360.0 / ratio
 
 
-def zero_deg(counts: int, ratio: float, direction: int, stands_at_deg: float) -> float:
-    """`zero_deg` of a joint that stands at a known angle while its drive counts so much from its homing stop."""
-    return round(direction * motor_angle_deg(counts, ratio) - stands_at_deg, 2) + 0.0  # no -0
+def zero_deg(turns: float, ratio: float, direction: int, stands_at_deg: float) -> float:
+    """`zero_deg` of a joint that stands at a known angle while its drive counts so many turns."""
+    return round(direction * motor_angle_deg(turns, ratio) - stands_at_deg, 2) + 0.0  # no -0
 
 
 @dataclass(frozen=True)
@@ -84,9 +86,9 @@ class RatioFound:
     """Why the measurement cannot tell what the ratio is, a sentence; None if it can."""
 
 
-def ratio_found(counts: int, angle_deg: float, in_file: float) -> RatioFound:
-    """Ratio of a joint that turned by an angle (without sign, as measured) while its motor turned by so many counts."""
-    turns = abs(counts) / ENCODER_COUNTS_PER_REVOLUTION
+def ratio_found(turns: float, angle_deg: float, in_file: float) -> RatioFound:
+    """Ratio of a joint that turned by an angle (without sign, as measured) while its motor made so many turns."""
+    turns = abs(turns)
     if turns * 360.0 < LEAST_MOTOR_DEG:
         return RatioFound(
             math.nan,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 from config.schema import ArmConfig
 from rtarm.calibrate.angles import (
@@ -20,11 +19,12 @@ from rtarm.calibrate.angles import (
     ratio_found,
     zero_deg,
 )
+from rtarm.calibrate.drives import Drive, State
 from rtarm.calibrate.words import positive_in_words
 from rtarm.console.errors import Refusal
 from rtarm.console.person import Person, agrees, as_number, chosen, number
-from rtloop.offline.calibration.session import DriveState, NotDone
-from rtloop.offline.calibration.talk import Found
+from rtloop.drives.setup import homes_by_a_run
+from rtloop.offline.calibration.session import NotDone
 
 RATIO_DIGITS = 4
 AT_STOP_DEG = 0.5
@@ -33,16 +33,6 @@ FALLS = (
     "Limp, the joint turns freely and falls where gravity pulls it and all that hangs on it: take its weight in your "
     "hands before you agree."
 )
-
-
-class Drives(Protocol):
-    """The arm's drives, by joint number; everything returns once the drive stands. Failures end the calibration."""
-
-    def look(self, joint: int) -> DriveState: ...
-    def turn(self, joint: int, by_counts: int, rpm: int) -> DriveState: ...
-    def let_go(self, joint: int) -> DriveState: ...
-    def hold(self, joint: int) -> DriveState: ...
-    def home(self, joint: int) -> DriveState: ...
 
 
 @dataclass
@@ -69,8 +59,7 @@ class Guide:
         self,
         arm: ArmConfig,
         joint: int,
-        found: Found,
-        drives: Drives,
+        drive: Drive,
         person: Person,
         require: Callable[[Mapping[str, float]], None],
     ) -> None:
@@ -78,8 +67,9 @@ class Guide:
         self._joint = joint
         self._config = arm.joints[joint]
         self._name = self._config.name
-        self._found = found
-        self._drives = drives
+        self._drive = drive
+        self._homes = homes_by_a_run(self._config.drive)
+        self._where_zero = "at its homing stop" if self._homes else "where its drive counts 0"
         self._person = person
         self._require = require
         self._longest_motor_deg = 0.0
@@ -95,23 +85,24 @@ class Guide:
     def go(self) -> None:
         """All three steps; raises Quit, Refusal for a ratio the file cannot have, and whatever the drives raise."""
         before, tell = self.before, self._person.tell
-        state = self._drives.look(self._joint)
+        state = self._drive.look()
         tell("")
         tell(
-            f"{self._name} (drive {self._found.address}, {'held' if state.enabled else 'limp'}). The file says: "
+            f"{self._name} (drive {self._config.drive.number}, {'held' if state.enabled else 'limp'}). The file says: "
             f"direction {before.direction}, ratio {before.ratio:g}, zero_deg {before.zero_deg:g}."
         )
         if not state.enabled:
             if not agrees(self._person, "Its drive must hold it to go on. Let it hold the joint where it stands?"):
                 tell(f"{self._name} is left out.")
                 return
-            self._drives.hold(self._joint)
+            self._drive.hold()
         seen = self._find_direction()
         self._find_ratio()
         if not seen and self.values.ratio > self.before.ratio:
             tell("With this ratio the joint may turn farther than what could not be seen.")
             self._find_direction()
-        if not self._find_zero() and self.changes:
+        means_an_angle = self._homes or self._config.knows_its_angle  # any other is told where it stands at each start
+        if not self._find_zero() and self.changes and means_an_angle:
             self._warn_of_zero()
 
     # --- 1: direction
@@ -124,20 +115,20 @@ class Guide:
         sign, farther = 1, 0
         while farther < len(moves):
             move = moves[farther]
-            tell(f"{self._described(Move(sign * move.counts, move.rpm))}, and back again.")
+            tell(f"{self._described(Move(sign * move.turns, move.rpm))}, and back again.")
             answer = self._person.answer("Turn it? [y/N; o: the other way first; q ends]").lower()
             if answer == "o":
                 sign = -sign
                 continue
             if answer not in ("y", "yes"):
                 break
-            self._turn(Move(sign * move.counts, move.rpm))
+            self._turn(Move(sign * move.turns, move.rpm))
             seen = chosen(
                 self._person,
                 f"It has turned and stands. Which way did {self._name} go?",
                 {"p": "the positive way", "n": "the negative way", "u": "not seen, go farther"},
             )
-            self._turn(Move(-sign * move.counts, move.rpm))
+            self._turn(Move(-sign * move.turns, move.rpm))
             if seen == "u":
                 farther += 1
                 continue
@@ -159,16 +150,16 @@ class Guide:
             f"whose angle you measure; {least_angle_deg(self.values.ratio):.0f}° or more, 90° is good."
         )
         while how := self._asked_how():
-            counts = self._between_marks(how)
-            angle_deg = None if counts is None else number(self._person, "By how many degrees did the joint turn?")
-            if counts is None or angle_deg is None:
+            turns = self._between_marks(how)
+            angle_deg = None if turns is None else number(self._person, "By how many degrees did the joint turn?")
+            if turns is None or angle_deg is None:
                 break
-            found = ratio_found(counts, abs(angle_deg), self._config.ratio)
+            found = ratio_found(turns, abs(angle_deg), self._config.ratio)
             if found.too_small_for:
                 tell(found.too_small_for)
                 continue
             tell(
-                f"The motor turned {abs(counts) / 65536:.3f} times: the ratio is {found.measured:.3f} ± "
+                f"The motor turned {abs(turns):.3f} times: the ratio is {found.measured:.3f} ± "
                 f"{found.uncertainty:.2f}, if you read the angle to ±{READ_TO_DEG:g}°."
             )
             ratio = self._decided(found)
@@ -196,21 +187,21 @@ class Guide:
             return None
         return round(own, RATIO_DIGITS)
 
-    def _between_marks(self, how: str) -> int | None:
+    def _between_marks(self, how: str) -> float | None:
         """By how much the motor turned between two marks; None if the person does not want to."""
         if how == "h":
             if not agrees(self._person, f"{FALLS} Make {self._name} limp?"):
                 return None
-            self._drives.let_go(self._joint)
+            self._drive.let_go()
             self._person.answer("It is limp. Put it on the first mark, then press Enter [q ends]:")
-            first = self._drives.look(self._joint)
+            first = self._drive.look()
             self._person.answer("Turn it to the second mark, then press Enter [q ends]:")
-            second = self._drives.look(self._joint)
+            second = self._drive.look()
             self._take_hold()
-            return second.counts - first.counts
+            return second.turns - first.turns
         began = self._jogged_to("the first mark")
         ended = None if began is None else self._jogged_to("the second mark")
-        return None if began is None or ended is None else ended.counts - began.counts
+        return None if began is None or ended is None else ended.turns - began.turns
 
     # --- 3: zero
 
@@ -218,10 +209,10 @@ class Guide:
         """Whether it was found."""
         tell, values = self._person.tell, self.values
         tell(
-            f"3. Zero: at its homing stop {self._name} is at -zero_deg, {-values.zero_deg:g}° by the file. The joint "
+            f"3. Zero: {self._where_zero} {self._name} is at -zero_deg, {-values.zero_deg:g}° by the file. The joint "
             "is put where you know its angle, best on its zero mark."
         )
-        if not self._counts_from_stop():
+        if not (self._counts_from_stop() if self._homes else self._knows_its_angle()):
             tell(f"zero_deg stays {values.zero_deg:g}.")
             return False
         while how := self._asked_how():
@@ -231,27 +222,29 @@ class Guide:
             angle_deg = number(self._person, f"At how many degrees does {self._name} stand there (0 on its zero mark)?")
             if angle_deg is None:
                 break
-            found = zero_deg(state.counts, values.ratio, values.direction, angle_deg)
+            found = zero_deg(state.turns, values.ratio, values.direction, angle_deg)
             tell(
-                f"The motor stands {motor_angle_deg(state.counts, values.ratio):.2f}° of the joint from the homing "
-                f"stop: zero_deg is {found:g}, as well as the joint stands on the mark."
+                f"The motor stands {motor_angle_deg(state.turns, values.ratio):.2f}° of the joint from "
+                f"{'the homing stop' if self._homes else 'there'}: zero_deg is {found:g}, as well as the joint stands "
+                "on the mark."
             )
             if self._fits({"zero_deg": found}) and agrees(self._person, f"Take {found:g}?"):
                 values.zero_deg = found
                 tell(f"zero_deg: {found:g}{self._beside_file('zero_deg')}")
-                self._match_limit(state.counts)
+                if self._homes:
+                    self._match_limit(state.turns)
                 return True
         tell(f"zero_deg stays {values.zero_deg:g}.")
         return False
 
-    def _match_limit(self, counts: int) -> None:
+    def _match_limit(self, turns: float) -> None:
         """The homing stop is an end of the joint's range: offer its angle for the limit there."""
         values, name = self.values, self._name
-        low = values.direction * counts > 0
+        low = values.direction * turns > 0
         field, other = ("lower_deg", "upper_deg") if low else ("upper_deg", "lower_deg")
         limit, stop = getattr(self._config, field), -values.zero_deg + 0.0  # no -0
         inside_deg = (limit - stop) if low else (stop - limit)
-        if counts == 0 or abs(inside_deg) < AT_STOP_DEG:
+        if turns == 0 or abs(inside_deg) < AT_STOP_DEG:
             return
         self._person.tell(
             f"So the homing stop is the {'lower' if low else 'upper'} end of {name}, at {stop:g}°, but {field} in the "
@@ -285,12 +278,12 @@ class Guide:
         values, config = self.values, self._config
         self._person.tell(
             f"zero_deg {values.zero_deg:g} was not found with these values: it is right only if {self._name} is at "
-            f"{-values.zero_deg:g}° at its homing stop. If it was measured with the old ones, find it anew."
+            f"{-values.zero_deg:g}° {self._where_zero}. If it was measured with the old ones, find it anew."
         )
-        state = self._drives.look(self._joint)
+        state = self._drive.look()
         if state.doubt is not None:
             return
-        here_deg = values.direction * motor_angle_deg(state.counts, values.ratio) - values.zero_deg
+        here_deg = values.direction * motor_angle_deg(state.turns, values.ratio) - values.zero_deg
         limits = f"{config.lower_deg:g}° to {config.upper_deg:g}°"
         inside = config.lower_deg - AT_STOP_DEG <= here_deg <= config.upper_deg + AT_STOP_DEG
         self._person.tell(
@@ -300,12 +293,12 @@ class Guide:
 
     def _counts_from_stop(self) -> bool:
         """Whether the drive counts from the homing stop, after a homing run if the person wants one."""
-        doubt = self._drives.look(self._joint).doubt
+        doubt = self._drive.look().doubt
         if doubt is not None:
             self._person.tell(f"{self._name} {doubt}.")
         elif agrees(self._person, "Its drive says that it has been homed. Is that so, at this very stop?"):
             return True
-        rpm = self._found.homing_rpm
+        rpm = self._drive.homing_rpm
         speed = f"at {rpm} rpm of the motor" if rpm is not None else "at the speed of its menu"
         self._person.tell(
             f"A homing run is the drive's own: it runs {speed}, the way its menu says, until something stops it. "
@@ -314,17 +307,27 @@ class Guide:
         if not agrees(self._person, f"Home {self._name} now, with the way to its stop free?"):
             self._person.tell("Without a homing run the zero cannot be found.")
             return False
-        self._drives.home(self._joint)
+        self._drive.home()
         return True
 
-    def _placed(self, how: str) -> DriveState | None:
+    def _knows_its_angle(self) -> bool:
+        """Whether the drive counts from the same place whenever it gets power; if not, the person is told."""
+        if self._config.knows_its_angle:
+            return True
+        self._person.tell(
+            f"The drive of {self._name} does not know by itself where the joint stands, so zero_deg says nothing: say "
+            f"the angle with `rtarm reference {self._name}=DEGREES` after each start."
+        )
+        return False
+
+    def _placed(self, how: str) -> State | None:
         if how == "d":
             return self._jogged_to("its mark")
         if not agrees(self._person, f"{FALLS} Make {self._name} limp?"):
             return None
-        self._drives.let_go(self._joint)
+        self._drive.let_go()
         self._person.answer("It is limp. Put it on its mark, then press Enter [q ends]:")
-        state = self._drives.look(self._joint)
+        state = self._drive.look()
         self._take_hold()
         return state
 
@@ -337,7 +340,7 @@ class Guide:
             {"d": "by its drive, in small turns you agree to", "h": "by hand, limp"},
         )
 
-    def _jogged_to(self, mark: str) -> DriveState | None:
+    def _jogged_to(self, mark: str) -> State | None:
         """Turn the joint by its drive until the person says that it is there; None if they give up."""
         values = self.values
         while True:
@@ -349,7 +352,7 @@ class Guide:
             if not answer:
                 return None
             if answer in ("y", "yes"):
-                return self._drives.look(self._joint)
+                return self._drive.look()
             wanted_deg = as_number(answer)
             if not abs(wanted_deg) <= most:
                 self._person.tell(f"{answer} is no number from -{most:g} to {most:g}.")
@@ -367,12 +370,12 @@ class Guide:
         return min(most_joint_deg(self.values.ratio), float(f"{seen_deg:.3g}"))
 
     def _turn(self, move: Move) -> None:
-        self._drives.turn(self._joint, move.counts, move.rpm)
+        self._drive.turn(move.turns, move.rpm)
         self._longest_motor_deg = max(self._longest_motor_deg, abs(move.motor_deg))
 
     def _take_hold(self) -> None:
         self._person.answer("Keep it there and press Enter: its drive then holds it where it stands [q ends]:")
-        self._drives.hold(self._joint)
+        self._drive.hold()
 
     def _described(self, move: Move) -> str:
         return (

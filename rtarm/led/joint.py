@@ -15,7 +15,7 @@ import numpy as np
 
 from config.schema import ArmConfig
 from rtarm.console.errors import Refusal
-from rtarm.running.requests import Condition, Connection, cleared
+from rtarm.running.requests import Condition, Connection, cleared, enabled, limp, see_to_the_end
 from rtarm.running.status import STOPPED_BY_A_PERSON
 from rtloop.offline.commissioning.finding import Said, frames_of
 from sentences.told import outcome_sentence
@@ -169,6 +169,20 @@ class Led(Connection):
         cleared(self)
         self._writer.resume()
         self.wait_heard(lambda now: not now["held"])
+
+    def let_go(self) -> None:
+        """Let a person turn it; raises Refusal where it is not limp."""
+        limp(self, Request.FREE)
+
+    def hold(self) -> None:
+        """Have it held where it stands; raises Refusal where it is not."""
+        enabled(self)
+
+    def home(self) -> None:
+        """Let its drive find its stop, as far as that can; raises Refusal where it does not."""
+        self.order(Request.HOME, joint_mask=1)
+        if fault := self.fault(see_to_the_end(self, lambda _: None)):
+            raise Refusal(fault)
 
     def drive_refused(self) -> bool:
         """Whether it was the drive that ended its bring-up, and not the bus or this machine."""

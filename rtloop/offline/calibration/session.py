@@ -7,6 +7,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
+from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.dialogues.referencing import KeepLost, Referencing
 from rtloop.drives.power import Marks
@@ -29,6 +30,15 @@ Result = TypeVar("Result")
 
 class NotDone(Exception):
     """A request is not carried out, and nothing has moved; the text is the sentence for the operator."""
+
+
+def beyond_range(config: JointConfig) -> str:
+    """Why a joint is not moved farther from where a person last put it."""
+    return (
+        f"{config.name} would get farther from where it began than its range in the arm file, "
+        f"{config.upper_deg - config.lower_deg:g}° with a ratio of {config.ratio:g}: turn it by hand, or mend the "
+        "ratio in the file first."
+    )
 
 
 @dataclass(frozen=True)
@@ -117,11 +127,7 @@ class Session:
         centre = self._centre.setdefault(joint, here)
         most = config.range_turns * config.drive.reading_steps_per_revolution
         if abs(here + by_counts - centre) > most:
-            raise NotDone(
-                f"{config.name} would get farther from where it began than its range in the arm file, "
-                f"{config.upper_deg - config.lower_deg:g}° with a ratio of {config.ratio:g}: turn it by hand, or mend "
-                "the ratio in the file first."
-            )
+            raise NotDone(beyond_range(config))
 
     def let_go(self, joint: int) -> DriveState:
         """Switch the joint's torque off; the caller makes sure that a person holds the joint."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calibrating_person import CalibratingPerson
 from depth import examples
 from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
@@ -29,12 +30,13 @@ from rtarm.calibrate.angles import (
     ratio_found,
     zero_deg,
 )
+from rtarm.calibrate.drives import OfflineDrive
 from rtarm.calibrate.guide import Guide, Values
 from rtarm.calibrate.words import positive_in_words
 from rtarm.console.errors import Refusal
 from rtarm.console.person import Quit, agrees, number
 from rtloop.drives.power import Marks
-from rtloop.offline.calibration.session import MOST_RPM, MOST_TURNS, Session
+from rtloop.offline.calibration.session import MOST_RPM, MOST_TURNS, DriveState, Session
 from sim.arm import SimulatedArm
 
 # --- arithmetic -------------------------------------------------------------------------------------------------
@@ -45,9 +47,9 @@ def test_every_nudge_is_short_and_slow(ratio: float, motor_rpm: float) -> None:
     moves = nudges(ratio, motor_rpm)
     assert moves
     assert moves[0].motor_deg <= FIRST_MOTOR_DEG + 0.01
-    assert [move.counts for move in moves] == sorted(move.counts for move in moves)
+    assert [move.turns for move in moves] == sorted(move.turns for move in moves)
     for move in moves:
-        assert 0 <= move.counts <= MOST_TURNS * TURN and 1 <= move.rpm <= MOST_RPM
+        assert 0 <= move.turns <= MOST_TURNS * 1.0001 and 1 <= move.rpm <= MOST_RPM
         assert move.rpm <= max(1, motor_rpm)
         assert move.motor_deg - MOST_JOINT_DEG * ratio <= 0.01
 
@@ -58,7 +60,7 @@ def test_a_ratio_is_found_or_said_to_be_unknown_but_never_taken_for_another(
     ratio: int, angle_deg: float, misread_deg: float, in_file: float
 ) -> None:
     """Whatever a person misreads within a degree, the true ratio is within the uncertainty that is told."""
-    found = ratio_found(round(angle_deg / 360 * ratio * TURN), angle_deg + misread_deg, in_file)
+    found = ratio_found(angle_deg / 360 * ratio, angle_deg + misread_deg, in_file)
     if math.isnan(found.measured):
         assert angle_deg + misread_deg < 20
         return
@@ -70,7 +72,7 @@ def test_a_ratio_is_found_or_said_to_be_unknown_but_never_taken_for_another(
 
 def test_ratios_of_the_arm_at_ninety_degrees() -> None:
     for ratio in (25, 20, 10, 4, 1):
-        found = ratio_found(round(ratio / 4 * TURN), 90.5, in_file=7.3)
+        found = ratio_found(ratio / 4, 90.5, in_file=7.3)
         assert found.suggestion == ratio
 
 
@@ -79,13 +81,13 @@ def test_ratios_of_the_arm_at_ninety_degrees() -> None:
     [(10, 1.0, "is too small to tell a ratio"), (45, 24.5 / 8, "24 fits as well as 25: turn the joint by 51° or more")],
 )
 def test_an_angle_too_small_to_tell(angle_deg: float, turns: float, sentence: str) -> None:
-    found = ratio_found(round(turns * TURN), angle_deg, in_file=3)
+    found = ratio_found(turns, angle_deg, in_file=3)
     assert found.suggestion is None
     assert sentence in str(found.too_small_for)
 
 
 def test_a_ratio_that_is_no_whole_number_is_left_to_the_person() -> None:
-    found = ratio_found(round(2.5 / 4 * TURN), 90, in_file=4)
+    found = ratio_found(2.5 / 4, 90, in_file=4)
     assert found.suggestion is None and found.too_small_for is None
     assert found.measured == pytest.approx(2.5, abs=1e-3)
 
@@ -94,8 +96,9 @@ def test_a_ratio_that_is_no_whole_number_is_left_to_the_person() -> None:
 def test_the_zero_is_that_of_the_arm_file(direction: int, ratio: float, stands_at_deg: float, true_zero: float) -> None:
     """joint = direction * m - zero_deg (config.joint), with m the motor's turns * 360 / ratio."""
     m = direction * (stands_at_deg + true_zero)
-    counts = round(m * ratio / 360 * TURN)
-    assert zero_deg(counts, ratio, direction, stands_at_deg) == pytest.approx(true_zero, abs=0.02 + 0.006 / ratio)
+    assert zero_deg(m * ratio / 360, ratio, direction, stands_at_deg) == pytest.approx(
+        true_zero, abs=0.02 + 0.006 / ratio
+    )
 
 
 # --- words ----------------------------------------------------------------------------------------------------
@@ -135,13 +138,13 @@ def with_joint(values: Values, joint: int, stop_deg: float | None = None) -> Arm
     return ArmConfig.model_validate(fields)
 
 
-class Scene:
+class Scene(CalibratingPerson):
     """An arm whose file says other things of a joint than are so, and a person who sees what truly happens."""
 
     def __init__(self, truth: Values, in_file: Values, joint: int = 0, *, by: str = "h", **options: Any) -> None:
+        super().__init__(self, by)
         self.arm = with_joint(in_file, joint)
         self.joint = joint
-        self.by = by
         self.virtual = VirtualArm(self.arm)
         true_arm = with_joint(truth, joint, stop_deg=-truth.zero_deg)
         self.sim = SimulatedArm(true_arm, start_ns=START_NS, joint_position_rad=[0.6] * 6, **options)
@@ -160,13 +163,14 @@ class Scene:
             marks=Marks(),
         )
         self.session.read()
-        self.told: list[str] = []
-        self.asked: list[str] = []
-        self.ends_at: int | None = None
-        self.seen_deg = self.mark_deg = 0.0
-        self.misreads_deg = 0.0
-        self.homed = False
-        self.guide = Guide(self.arm, joint, self.session.found[joint], self.session, self, self._require)
+        config = self.arm.joints[joint].drive
+        drive = OfflineDrive(joint, config, self.session.found[joint].homing_rpm, self._order)
+        self.guide = Guide(self.arm, joint, drive, self, self._require)
+
+    def _order(self, line: str) -> DriveState:
+        word, *numbers = line.split()
+        dialogue: Callable[..., DriveState] = getattr(self.session, {"release": "let_go"}.get(word, word))
+        return dialogue(*map(int, numbers))
 
     def _require(self, changes: Mapping[str, float]) -> None:
         values = self.arm.model_dump()
@@ -192,60 +196,9 @@ class Scene:
         turned = config.direction * math.radians(to_deg - self.here_deg) * config.command_pulses_per_rad
         drive._ramp.place(drive._ramp.position + drive._grains(round(turned)))
 
-    # the person
-
-    def tell(self, text: str) -> None:
-        self.told.append(text)
-
-    def answer(self, question: str) -> str:
-        self.asked.append(question)
-        if self.ends_at is not None and len(self.asked) > self.ends_at:
-            raise Quit("you ended it")
-        answers: dict[str, Callable[[], str]] = {
-            "Degrees to turn": self._jogs,
-            "Turn it? [y/N; o": self._lets_it_turn,
-            "Which way did": self._says_which_way,
-            "How shall": lambda: self.by,
-            "on the first mark": lambda: self._turns_by_hand_to(self.here_deg, "first"),
-            "to the second mark": lambda: self._turns_by_hand_to(self.mark_deg + 90, "second"),
-            "on its mark": lambda: self._turns_by_hand_to(0.0, "zero"),
-            "By how many degrees did": lambda: f"{abs(self.here_deg - self.mark_deg) + self.misreads_deg:.3f}",
-            "Is that so, at this very stop": lambda: "n",
-            "At how many degrees does": lambda: f"{self.here_deg:.3f}",
-        }
-        for part, give in answers.items():
-            if part in question:
-                return give()
-        return "y"
-
-    def _lets_it_turn(self) -> str:
-        self.seen_deg = self.here_deg
-        return "y"
-
-    def _says_which_way(self) -> str:
-        moved = self.here_deg - self.seen_deg
-        return "u" if abs(moved) < 0.5 else "p" if moved > 0 else "n"
-
-    def _turns_by_hand_to(self, to_deg: float, mark: str) -> str:
-        self.by_hand(to_deg)
-        if mark == "first":
-            self.mark_deg = to_deg
-        return ""
-
-    def _jogs(self) -> str:
-        """Towards 45° beyond the first mark, or towards zero; the joint turns as far as it does."""
-        question = self.asked[-1]
-        if "the first mark" in question:
-            self.mark_deg = self.here_deg
-            return "y"
-        goal = self.mark_deg + 45 if "second" in question else 0.0
-        left = goal - self.here_deg
-        if abs(left) < 1.0:
-            return "y"
-        most = float(question.partition("±")[2].split()[0])
-        believed = self.guide.values.ratio
-        true = self.sim.config.joints[self.joint].ratio
-        return f"{max(-most, min(most, left * true / believed)):.4f}"
+    @property
+    def true_ratio(self) -> float:
+        return self.sim.config.joints[self.joint].ratio
 
 
 BITS = st.sampled_from((1, -1))
@@ -386,12 +339,12 @@ def test_a_joint_whose_stop_is_its_upper_end_gets_its_upper_limit_there() -> Non
     """Its motor counts up from the stop, and turns it down: at the stop it is at its highest angle."""
     scene = Scene(Values(1, 4.0, 110.0), Values(1, 4.0, 110.0), 4)
     scene.guide.values = Values(-1, 4.0, -100.0)
-    scene.guide._match_limit(round(100 * 4 / 360 * TURN))  # it stands on its zero mark
+    scene.guide._match_limit(100 * 4 / 360)  # it stands on its zero mark
     assert scene.guide.limits == {"upper_deg": 100.0}
     assert "the upper end of joint5, at 100°, but upper_deg in the file is 110" in scene.told[0]
     scene.guide.limits = {}
     scene.answer = lambda question: "n"  # type: ignore[method-assign]
-    scene.guide._match_limit(round(100 * 4 / 360 * TURN))
+    scene.guide._match_limit(100 * 4 / 360)
     assert scene.guide.limits == {}
     assert scene.told[-1] == "upper_deg stays 110: mend it by hand before you move the arm."
 
@@ -440,8 +393,8 @@ def test_an_angle_that_no_zero_can_have_is_asked_for_again() -> None:
 
 def test_a_motor_that_did_not_turn_tells_no_ratio() -> None:
     """Both marks agreed to without a turn between them, and an angle typed all the same."""
-    for counts in (0, 3, -900):
-        found = ratio_found(counts, 90.0, in_file=25.0)
+    for turns in (0.0, 0.0001, -0.0137):
+        found = ratio_found(turns, 90.0, in_file=25.0)
         assert found.suggestion is None
         assert "tells no ratio" in str(found.too_small_for)
     scene = Scene(Values(1, 4.0, 110.0), Values(1, 4.0, 110.0), 4)

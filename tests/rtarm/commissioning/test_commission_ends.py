@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from config.loader import load_arm
-from rtarm.calibrate.run import ProcessDrives
+from rtarm.calibrate.drives import OfflineDrives
 from rtarm.commissioning import run
 from rtarm.commissioning.report import Report
 from rtarm.console.errors import ExitCode, Refusal
@@ -120,5 +120,5 @@ def test_a_calibration_tells_what_is_not_kept_too(commission: Callable[..., bool
     person = Person()
     process: Any = Process(Report(load_arm("episode1"), 5, tmp_path, None), None)
     process._answers["ready"]["drives"].pop("5")
-    ProcessDrives(process, person)
+    OfflineDrives(process, person)
     assert person.told == ["A mark is not kept."]

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from virtual import VirtualArm
+from led_rig import LedArm
 
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtarm.commissioning import led_checks
 from rtarm.commissioning.led_checks import LedBench, checks_of, judge_answers, way_of
-from rtarm.led.joint import Led, alone
-from rtloop.dialogues.referencing import referencing_asked_for
+from rtarm.led.joint import alone
 from rtloop.kept.commissioned import PowerProof
 from rtloop.offline.commissioning.finding import Finding, Verdict
-from rtloop.service.conversation import Conversation
 from shm.words import Mode, Request
 from sim import faults
 from sim.drives.servo import Hold
@@ -47,7 +44,7 @@ def closed() -> Iterator[None]:
         BENCHES.pop().close()
 
 
-class Bench(VirtualArm):
+class Bench(LedArm):
     """The control process of such an arm, supervised, and a person who does what is asked."""
 
     def __init__(
@@ -56,59 +53,16 @@ class Bench(VirtualArm):
         """`really` is what the drive is, where the arm file says something else."""
         middle_deg = (arm.joints[0].lower_deg + arm.joints[0].upper_deg) / 2.0
         start_rad = [math.radians(place.get("start_deg", middle_deg + OFF_MIDDLE_DEG))]
-        super().__init__(really or arm, start_rad=start_rad, homed=really is not None or "homed" in place)
-        if really is not None:
-            there = self.sim
-            self.close()
-            super().__init__(arm)
-            self.sim = there
+        super().__init__(arm, start_rad, really, homed=really is not None or "homed" in place)
         BENCHES.append(self)
-        assert self.sim is not None
-        self.drive: Any = self.sim.drives[0]
         plant(self.drive)
-        self.cycles(round(0.6e9 / self.period_ns))
-        assert self.bring_up().failure is None, self.told
-        self._talk: Conversation | None = None
-        self._stands_still = False
+        self.supervise()
         self.asked: list[str] = []
         self.questions: list[str] = []
         self.no: tuple[str, ...] = ()
         """Words of the questions that the person does not say y to."""
         self.switches = self.clamps = True
-        self.bench = LedBench(
-            Led(
-                self.arm,
-                self.reader,
-                self.writer,
-                pass_time=self.pass_time,
-                now_ns=lambda: self.now_ns,
-                standing_still=self.standing_still,
-            ),
-            self.hear,
-            self.agree,
-        )
-
-    def pass_time(self) -> None:
-        if self._stands_still:
-            self.now_ns += self.period_ns
-            self.listen(self.now_ns)
-            return
-        self.cycle()
-        if self._talk is not None:
-            self._talk = None if self._talk.poll(self.now_ns) else self._talk
-        elif self.memory["dialogue"]["bring_up_asked"]:
-            self.memory["dialogue"]["bring_up_asked"] = 0
-            self._talk = self._begin_bring_up(clears_protection=True)
-        elif self.memory["dialogue"]["reference_asked"]:
-            self._talk = referencing_asked_for(
-                self.arm, self.loop, self.port, self.now_ns, self.told.append, self.lost.__setitem__, self.marks
-            )
-
-    @contextmanager
-    def standing_still(self) -> Iterator[None]:
-        self._stands_still = True
-        yield
-        self._stands_still = False
+        self.bench = LedBench(self.led, self.hear, self.agree)
 
     def hear(self, line: str) -> None:
         self.asked.append(line)
@@ -122,10 +76,6 @@ class Bench(VirtualArm):
     def agree(self, question: str) -> bool:
         self.questions.append(question)
         return not any(words in question for words in self.no)
-
-    def true_deg(self) -> float:
-        assert self.sim is not None
-        return math.degrees(self.sim.true_position_rad(0, self.now_ns))
 
     def check(self, name: str, sign: int = 1) -> Finding:
         check = next(check for check in checks_of(self.arm) if check.name == name)
