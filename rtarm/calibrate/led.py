@@ -83,7 +83,8 @@ class LedDrive:
             raise Refusal(fault, ExitCode.LOOP_REFUSED)
         if silent_for_s(now) > FRESH_S:
             raise Refusal(f"The drive of {self._config.name} does not answer any more.", ExitCode.LOOP_REFUSED)
-        doubt = None if self._homed else "has a drive that cannot tell where it was switched on"
+        known = self._homed or self._config.knows_its_angle
+        doubt = None if known else "has a drive that cannot tell where it was switched on"
         return State(self._turns(self._measured_rad()), not self._led.is_disabled(), doubt)
 
     def turn(self, by_turns: float, rpm: int) -> State:
@@ -111,11 +112,14 @@ class LedDrive:
                 return self.look()
             went_deg = (self._turns(self._measured_rad()) - began.turns) * 360.0
             self._ease()
-        raise Refusal(
-            f"{end.sentence} It was stopped, after {went_deg:+.1f}° of {by_turns * 360.0:+.1f}° of the motor. See what "
-            "holds the joint (its stop, a cable, its own weight), free it, and run this again.",
-            ExitCode.LOOP_REFUSED,
+        if end.cause is Cause.ELSEWHERE:
+            raise Refusal(end.sentence, ExitCode.LOOP_REFUSED)
+        why = (
+            f"The drive of {joint.name} does not turn as it was told: it was stopped, after {went_deg:+.1f}° of "
+            f"{by_turns * 360.0:+.1f}° of the motor. See what holds the joint (its stop, a cable, its own weight), "
+            "free it, and run this again."
         )
+        raise Refusal(f"{led.fault(led.snapshot())} {why}".lstrip(), ExitCode.LOOP_REFUSED)
 
     def let_go(self) -> State:
         """See `Drive`."""

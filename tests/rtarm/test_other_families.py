@@ -19,7 +19,6 @@ from config.derived import derived_table
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtarm.calibrate.run import chosen_joints
-from rtarm.console.errors import Refusal
 from rtarm.drives.settings import render
 from rtarm.drives.zdt_joints import other_drives, zdt_joints
 from rtarm.recording.mcap_format import Reason
@@ -60,9 +59,8 @@ def test_drives_of_others_are_named_by_their_families() -> None:
     assert other_drives(arm, [1]) == "joint2 (an ODrive axis)" and other_drives(arm, [0, 2]) == ""
 
 
-@pytest.mark.parametrize("command", ["drives", "calibrate"])
-def test_an_arm_without_zdt_drives_is_refused_in_a_sentence(command: str, rtarm: Rtarm) -> None:
-    result = rtarm(command, "odrive6")
+def test_an_arm_without_zdt_drives_is_refused_in_a_sentence(rtarm: Rtarm) -> None:
+    result = rtarm("drives", "odrive6")
     assert result.exit_code == 1
     assert "ZDT drive" in result.output and "joint5 and joint6 (an ODrive axis)" in result.output
 
@@ -80,11 +78,9 @@ def test_settings_of_a_mixed_arm_are_those_of_its_zdt_drives() -> None:
     arm.close()
 
 
-def test_a_calibration_of_a_mixed_arm_is_of_its_zdt_drives() -> None:
+def test_dialogues_of_a_calibration_are_with_the_families_that_have_them() -> None:
     arm = mixed()
-    assert chosen_joints(arm, []) == [0, 2, 4] and chosen_joints(arm, ["joint3"]) == [2]
-    with pytest.raises(Refusal, match=r"joint2 \(an ODrive axis\): write direction, ratio"):
-        chosen_joints(arm, ["joint1", "joint2"])
+    assert chosen_joints(arm, []) == [0, 1, 2, 3, 4, 5] and chosen_joints(arm, ["joint3", "joint2"]) == [1, 2]
     virtual = resting()
     session = Calibration(
         virtual.arm,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ from rtarm.calibrate.arm_file import ArmFile
 from rtarm.calibrate.guide import Guide, Values
 from rtarm.calibrate.led import LedDrive, by_its_motor
 from rtarm.console.errors import ExitCode, Refusal
+from rtarm.console.interrupt import Interrupted
 from rtarm.console.person import Quit
 from rtarm.led.joint import Led, alone
 from rtloop.offline.calibration.session import NotDone
@@ -72,16 +73,21 @@ class Scene(CalibratingPerson):
     """Such a joint, which is not what its arm file says, and a person who sees what truly happens."""
 
     def __init__(
-        self, folder: Path, name: str, how: Built, *, by: str = "d", start_deg: float = -10.0, encoder: str | None = None
+        self,
+        folder: Path,
+        name: str,
+        how: Built,
+        *,
+        by: str = "d",
+        start_deg: float = -10.0,
+        encoder: str | None = None,
     ) -> None:
         super().__init__(self, by)
         self.between_deg = 45.0
         self.path = folder / f"{name}.yaml"
         self.path.write_text(yaml.safe_dump(file_of(name, how.in_file, encoder)), encoding="utf-8")
         self.arm = load_arm(self.path)
-        self.truth = ArmConfig.model_validate(
-            alone(ArmConfig.model_validate(file_of(name, how.truth, encoder)), JOINT)
-        )
+        self.truth = ArmConfig.model_validate(alone(ArmConfig.model_validate(file_of(name, how.truth, encoder)), JOINT))
         self.alone = ArmConfig.model_validate(by_its_motor(self.arm, JOINT))
         self.rig = LedArm(self.alone, [math.radians(start_deg)], really=self.truth, homed=True)
         self._used = False
@@ -122,11 +128,23 @@ class Scene(CalibratingPerson):
         assert not rig.drive.enabled
         way = math.copysign(1.0, to_deg - self.here_deg)
         rig.drive.lead(rig.now_ns, way * config.direction * config.ratio * 10.0 / 360.0)
-        while way * (to_deg - self.here_deg) > 0.0:
-            rig.pass_time()
+        rig.until(lambda: way * (to_deg - self.here_deg) <= 0.0)
         rig.drive.lead(rig.now_ns, 0.0)
         for _ in range(50):
             rig.pass_time()
+
+
+def until_it_moves(scene: Scene, then: Callable[[], None], by_deg: float = 0.4) -> None:
+    """Have something happen amid its first move."""
+    lived, began_deg = scene.rig.pass_time, scene.here_deg
+
+    def pass_time() -> None:
+        lived()
+        if abs(scene.here_deg - began_deg) > by_deg:
+            scene.rig.led._pass_time = lived
+            then()
+
+    scene.rig.led._pass_time = pass_time
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -137,3 +155,132 @@ def test_a_wrong_direction_ratio_and_zero_are_found_and_written(tmp_path: Path, 
     assert (found.direction, found.ratio) == (how.truth.direction, how.truth.ratio)
     assert found.zero_deg == pytest.approx(how.truth.zero_deg, abs=0.1)
     assert scene.rig.drive.enabled
+
+
+@pytest.mark.parametrize("name", ["odrive6", "mks6", "damiao6", "myactuator6"])
+def test_the_ratio_by_hand(tmp_path: Path, name: str) -> None:
+    how = built(name)
+    scene = Scene(tmp_path, name, how, by="h")
+    given = scene.answer
+
+    def answer(question: str) -> str:
+        if "zero mark" in question or "Home joint2" in question:
+            scene.by = "d"
+        return given(question)
+
+    scene.answer = answer  # type: ignore[method-assign]
+    found = scene.go().joints[JOINT]
+    assert (found.direction, found.ratio) == (how.truth.direction, how.truth.ratio)
+    assert found.zero_deg == pytest.approx(how.truth.zero_deg, abs=0.1)
+    assert scene.rig.drive.enabled
+
+
+@pytest.mark.parametrize("name", [name for name in ARMS if name != "mks6"])
+def test_of_a_drive_that_does_not_know_its_angle_no_zero_is_sought(tmp_path: Path, name: str) -> None:
+    how = built(name)
+    scene = Scene(tmp_path, name, how, encoder="incremental")
+    found = scene.go().joints[JOINT]
+    assert (found.direction, found.ratio, found.zero_deg) == (how.truth.direction, how.truth.ratio, 45.0)
+    assert "does not know by itself where the joint stands" in " ".join(scene.told)
+    assert not any("At how many degrees" in question for question in scene.asked)
+    assert not any("was not found with these values" in line for line in scene.told)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_one_that_does_not_follow_is_stopped_and_presses_no_more(tmp_path: Path, name: str) -> None:
+    scene = Scene(tmp_path, name, built(name))
+    with scene.drive as drive:
+        began_deg = scene.here_deg
+        scene.rig.drive.block_shaft(scene.rig.now_ns)
+        with pytest.raises(Refusal) as refused:
+            drive.turn(1.0 / 12.0, 1)
+        assert refused.value.code == ExitCode.LOOP_REFUSED
+        joint = scene.rig.led.joint()
+        away_rad = abs(float(joint["commanded_position_rad"] - joint["measured_position_rad"]))
+        assert scene.rig.led.fault(scene.rig.led.snapshot()) or away_rad < math.radians(0.1)
+    assert "does not turn as it was told: it was stopped, after +0.0° of +30.0° of the motor" in str(refused.value)
+    assert scene.here_deg == pytest.approx(began_deg, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_one_that_falls_silent_amid_a_move_ends_it(tmp_path: Path, name: str) -> None:
+    scene = Scene(tmp_path, name, built(name))
+    with scene.drive as drive:
+        began_deg, sim = scene.here_deg, scene.rig.sim
+        assert sim is not None
+        until_it_moves(scene, lambda: sim.inject(faults.Silent("joint2", 0.0, 60.0), sim.now_ns))
+        with pytest.raises(Refusal) as refused:
+            drive.turn(1.0 / 12.0, 1)
+        assert refused.value.code == ExitCode.LOOP_REFUSED
+        with pytest.raises(Refusal):
+            drive.look()
+        scene.rig.led.let_pass(1.0)
+        assert "did not answer at the end" in scene.rig.led.not_seen_to_stand()
+    gone_deg = abs(scene.here_deg - began_deg) * scene.true_ratio
+    assert gone_deg < 30.5
+    scene.rig.cycles(50)
+    assert abs(scene.here_deg - began_deg) * scene.true_ratio == pytest.approx(gone_deg, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_signal_amid_a_move_stops_it(tmp_path: Path, name: str) -> None:
+    scene = Scene(tmp_path, name, built(name))
+
+    def interrupt() -> None:
+        raise Interrupted("SIGINT")
+
+    with pytest.raises(Interrupted), scene.drive as drive:
+        began_deg = scene.here_deg
+        until_it_moves(scene, interrupt)
+        drive.turn(1.0 / 12.0, 1)
+    scene.rig.cycles(round(1e9 / scene.rig.period_ns))
+    stands_deg = scene.here_deg
+    assert 0.4 < abs(stands_deg - began_deg) * scene.true_ratio < 25.0
+    scene.rig.cycles(100)
+    assert scene.here_deg == pytest.approx(stands_deg, abs=0.01)
+    assert scene.rig.drive.enabled and scene.rig.led.not_seen_to_stand() == ""
+
+
+@pytest.mark.parametrize("name", ["mks6", "damiao6"])
+def test_a_joint_that_is_limp_when_it_ends_is_held_again(tmp_path: Path, name: str) -> None:
+    scene = Scene(tmp_path, name, built(name))
+    with pytest.raises(Quit), scene.drive as drive:
+        assert drive.look().enabled
+        assert not drive.let_go().enabled
+        raise Quit("you ended it")
+    assert scene.rig.drive.enabled and scene.rig.memory["mode"] == Mode.HOLDING
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_move_is_as_far_and_as_fast_as_it_was_told(tmp_path: Path, name: str) -> None:
+    how = built(name)
+    scene = Scene(tmp_path, name, how)
+    with scene.drive as drive:
+        began, began_deg, ns = drive.look().turns, scene.here_deg, scene.rig.now_ns
+        after = drive.turn(-1.0 / 12.0, 2)
+    assert (after.turns - began) * 360.0 == pytest.approx(-30.0, abs=0.5)
+    assert (scene.here_deg - began_deg) * how.truth.ratio * how.truth.direction == pytest.approx(-30.0, abs=0.5)
+    assert scene.rig.sim is not None
+    _, speeds_rad_s = scene.rig.sim.truth(0, range(ns, scene.rig.now_ns, 10_000_000))
+    assert max(abs(speeds_rad_s)) * how.truth.ratio < 2.0 * math.tau / 60.0 * 1.2
+
+
+def test_no_move_leads_beyond_the_range_or_beyond_what_the_drive_can_be_told(tmp_path: Path) -> None:
+    scene = Scene(tmp_path, "damiao6", built("damiao6"))
+    with scene.drive as drive:
+        began_deg = scene.here_deg
+        with pytest.raises(NotDone, match="120° with a ratio of 2: turn it by hand"):
+            drive.turn(0.7, 10)
+        scene.drive._origin_rad += math.pi * 1.9
+        with pytest.raises(NotDone, match=r"can be commanded within 1.989: turn the joint the other way"):
+            drive.turn(0.2, 10)
+    assert scene.here_deg == pytest.approx(began_deg, abs=0.05)
+
+
+@pytest.mark.parametrize("name", [*ARMS, "episode1"])
+def test_every_joint_can_be_brought_up_by_its_motor(name: str) -> None:
+    arm = load_arm(name)
+    for joint, config in enumerate(arm.joints):
+        found = ArmConfig.model_validate(by_its_motor(arm, joint)).joints[0]
+        assert (found.direction, found.zero_deg, found.ratio) == (1, 0.0, config.ratio)
+        assert found.upper_deg == -found.lower_deg <= config.upper_deg - config.lower_deg
