@@ -18,8 +18,10 @@ from stack import Stack, run_rtarm
 from waiting import until
 
 from config.loader import load_arm
+from rtarm.led.joint import FRESH_S, silent_for_s
 from rtloop.kept import reference_store
 from shm import files
+from shm.client import StateReader
 from shm.files import DIRECTORY
 
 
@@ -97,8 +99,8 @@ def test_whatever_ends_it_amid_a_move_stops_the_move(truth: Stack, how: str) -> 
             at.process.send_signal(signal.SIGKILL)
         at.process.wait(PATIENCE_S)
         until(lambda: no_process_left(truth), patience_s=PATIENCE_S)
+    until(lambda: abs(truth.truth()["joint6"].velocity_rad_s[-1]) < 1e-3, patience_s=PATIENCE_S)
     stood = truth.truth()["joint6"]
-    assert stood.velocity_rad_s[-1] == pytest.approx(0.0, abs=1e-3)
     assert 1.0 < math.degrees(np.ptp(stood.position_rad)) < 14.0  # of the 15 it was told to go
     assert truth.arm_file.read_bytes() == before
 
@@ -109,6 +111,8 @@ def test_what_was_not_seen_is_told(truth: Stack) -> None:
         at.reply("Bring it up?", "y")
         at.read_until("Turn it?")
         truth.befall("silent:joint=joint6,at_s=0,until_s=30")
+        with closing(StateReader(files.open_state(truth.name))) as state:
+            until(lambda: silent_for_s(state.snapshot()) > 2 * FRESH_S, patience_s=PATIENCE_S)
         at.press(CTRL_C)
         assert at.code() == 2
         said = " ".join(at.said.split())
@@ -144,3 +148,18 @@ def test_what_is_refused_moves_nothing(truth: Stack) -> None:
     piped = run_rtarm("calibrate", str(truth.arm_file), typed="y\ny\ny\n")
     assert piped.returncode == 1 and "the standard input is none" in piped.stderr
     assert all(np.ptp(motion.position_rad) == 0.0 for motion in truth.truth().values())
+
+
+@pytest.mark.process
+def test_a_joint_that_is_limp_when_it_ends_is_held_again(truth: Stack) -> None:
+    """Else its drive would be said to be limp."""
+    with closing(rtarm_at_terminal("calibrate", str(truth.arm_file), "--joint", "joint6")) as at:
+        at.reply("Bring it up?", "y")
+        at.reply("Turn it?", "")
+        at.reply("How shall joint6 get to the mark?", "h")
+        at.reply("Make joint6 limp?", "y")
+        at.read_until("It is limp. Put it on the first mark")
+        at.press(CTRL_C)
+        assert at.code() == 1
+        assert "Ended (SIGINT); the arm stands. Nothing was written." in at.said
+    assert no_process_left(truth)
