@@ -25,6 +25,8 @@ AWAY_MOTOR_DEG = 10.0
 """A motor that is farther than this from where it should be is stopped, …"""
 AWAY_SHARE, AWAY_LEAST_MOTOR_DEG = 0.5, 2.0
 """… in a short move sooner: by such a share of it, though a motor that holds dithers."""
+LIMIT_SHARE = 0.6
+"""A joint whose limits are slower than what was asked for uses so much of them at most."""
 SETTLES_S = 0.3
 WIDEST_DEG = 36_000.0
 """Limits in an arm file are no wider."""
@@ -103,7 +105,7 @@ class LedDrive:
             )
         bent_rad = abs(here_rad - self._measured_rad())
         away_deg = min(AWAY_MOTOR_DEG, max(AWAY_SHARE * abs(by_turns) * 360.0, AWAY_LEAST_MOTOR_DEG))
-        seconds = max(FASTEST * abs(by_turns) * 60.0 / rpm, seconds_for(arm, abs(way_rad), 1.0))
+        seconds = max(FASTEST * abs(by_turns) * 60.0 / rpm, seconds_for(arm, abs(way_rad), LIMIT_SHARE))
         with led.stopped_by_any_end():
             goal = led.go(here_rad + way_rad, seconds, self._rad(away_deg / 360.0) + bent_rad)
             end = led.end_of(goal, seconds + arm.patience.person_s)
