@@ -284,3 +284,21 @@ def test_every_joint_can_be_brought_up_by_its_motor(name: str) -> None:
         found = ArmConfig.model_validate(by_its_motor(arm, joint)).joints[0]
         assert (found.direction, found.zero_deg, found.ratio) == (1, 0.0, config.ratio)
         assert found.upper_deg == -found.lower_deg <= config.upper_deg - config.lower_deg
+
+
+@pytest.mark.parametrize("by", ["d", "h"])
+def test_who_ends_it_at_any_question_leaves_the_joint_held_where_it_stands(tmp_path: Path, by: str) -> None:
+    """The zero aside, which asks the same again."""
+    how = built("damiao6")
+    whole = Scene(tmp_path, "damiao6", how, by=by, encoder="incremental")
+    whole.go()
+    for question in range(len(whole.asked)):
+        scene = Scene(tmp_path, "damiao6", how, by=by, encoder="incremental")
+        scene.ends_at = question
+        with pytest.raises(Quit):
+            scene.go()
+        stands_deg = scene.here_deg
+        scene.rig.cycles(50)
+        assert scene.rig.drive.enabled and scene.here_deg == pytest.approx(stands_deg, abs=0.05)
+        assert scene.rig.led.not_seen_to_stand() == ""
+    assert len(whole.asked) > 8
