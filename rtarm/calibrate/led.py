@@ -66,8 +66,10 @@ class LedDrive:
         self._limp = self._homed = False
 
     def __enter__(self) -> Self:
-        self._led = self._brought_up.enter_context(self._bring_up())
-        self._stands_at_0()
+        with ExitStack() as opened:
+            self._led = opened.enter_context(self._bring_up())
+            self._stands_at_0()
+            self._brought_up = opened.pop_all()
         return self
 
     def __exit__(

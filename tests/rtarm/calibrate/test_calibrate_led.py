@@ -81,6 +81,7 @@ class Scene(CalibratingPerson):
         by: str = "d",
         start_deg: float = -10.0,
         encoder: str | None = None,
+        reach_deg: float | None = None,
     ) -> None:
         super().__init__(self, by)
         self.between_deg = 45.0
@@ -88,7 +89,10 @@ class Scene(CalibratingPerson):
         self.path.write_text(yaml.safe_dump(file_of(name, how.in_file, encoder)), encoding="utf-8")
         self.arm = load_arm(self.path)
         self.truth = ArmConfig.model_validate(alone(ArmConfig.model_validate(file_of(name, how.truth, encoder)), JOINT))
-        self.alone = ArmConfig.model_validate(by_its_motor(self.arm, JOINT))
+        values = by_its_motor(self.arm, JOINT)
+        if reach_deg is not None:
+            values["joints"][0] |= {"lower_deg": -reach_deg, "upper_deg": reach_deg}
+        self.alone = ArmConfig.model_validate(values)
         self.rig = LedArm(self.alone, [math.radians(start_deg)], really=self.truth, homed=True)
         self._used = False
         self.drive = LedDrive(self.arm, JOINT, self._brought_up)
@@ -127,8 +131,14 @@ class Scene(CalibratingPerson):
         rig, config = self.rig, self.truth.joints[0]
         assert not rig.drive.enabled
         way = math.copysign(1.0, to_deg - self.here_deg)
-        rig.drive.lead(rig.now_ns, way * config.direction * config.ratio * 10.0 / 360.0)
-        rig.until(lambda: way * (to_deg - self.here_deg) <= 0.0)
+
+        def is_there() -> bool:
+            if way * (to_deg - self.here_deg) <= 0.0:
+                return True
+            rig.drive.lead(rig.now_ns, way * config.direction * config.ratio * 10.0 / 360.0)  # however often it lets go
+            return False
+
+        rig.until(is_there)
         rig.drive.lead(rig.now_ns, 0.0)
         for _ in range(50):
             rig.pass_time()
@@ -302,3 +312,39 @@ def test_who_ends_it_at_any_question_leaves_the_joint_held_where_it_stands(tmp_p
         assert scene.rig.drive.enabled and scene.here_deg == pytest.approx(stands_deg, abs=0.05)
         assert scene.rig.led.not_seen_to_stand() == ""
     assert len(whole.asked) > 8
+
+
+@pytest.mark.parametrize("name", ["odrive6", "mks6", "damiao6"])
+def test_a_joint_that_was_turned_far_by_hand_goes_on_from_there(tmp_path: Path, name: str) -> None:
+    how = built(name)
+    scene = Scene(tmp_path, name, how, reach_deg=10.0)
+    with scene.drive as drive:
+        began, began_deg = drive.look(), scene.here_deg
+        drive.let_go()
+        scene.by_hand(began_deg + 40.0)
+        held = drive.hold()
+        assert scene.rig.led.referenced
+        moved = drive.turn(1.0 / 24.0, 2)
+    by_hand_deg = 40.0 * how.truth.ratio * how.truth.direction
+    assert (held.turns - began.turns) * 360.0 == pytest.approx(by_hand_deg, rel=0.02)
+    assert (moved.turns - held.turns) * 360.0 == pytest.approx(15.0, abs=0.5)
+
+
+def test_a_joint_that_falls_silent_when_it_is_up_is_not_left_behind(tmp_path: Path) -> None:
+    scene = Scene(tmp_path, "damiao6", built("damiao6"))
+    closed: list[bool] = []
+
+    @contextmanager
+    def falls_silent() -> Iterator[Led]:
+        with scene._brought_up() as led:
+            assert scene.rig.sim is not None
+            scene.rig.sim.inject(faults.Silent("joint2", 0.0, 60.0), scene.rig.sim.now_ns)
+            scene.rig.led.let_pass(0.5)
+            try:
+                yield led
+            finally:
+                closed.append(True)
+
+    with pytest.raises(Refusal, match="joint2"), LedDrive(scene.arm, JOINT, falls_silent):
+        raise AssertionError
+    assert closed
