@@ -21,7 +21,6 @@ from rich.text import Text
 from config.schema import ArmConfig
 from rtarm.console.errors import ExitCode, Refusal
 from rtarm.console.interrupt import undisturbed
-from rtarm.drives.zdt_joints import other_drives, zdt_joints
 from rtarm.processes import describe_end, plain_environment, shared_death
 
 PATIENCE_S = 10.0
@@ -40,6 +39,8 @@ NOTHING_TO_STORE = (
     "Nothing was written. What a drive's flash holds cannot be read: if its settings were only written to volatile "
     "memory, switch its power off and on, then run this again."
 )
+
+KEPT = "What a drive keeps without power however it is written is written with --write --store alone."
 
 Report = dict[str, Any]
 
@@ -128,25 +129,14 @@ def offline_process(module: str, arm: str, overrides: Mapping[str, Any]) -> Iter
             process.close()
 
 
-def not_read(arm: ArmConfig) -> str:
-    """A sentence about the drives of other families; empty where there are none."""
-    others = other_drives(arm, range(len(arm.joints)))
-    if not others:
-        return ""
-    return (
-        f"what is set in the drives of {others} is neither read nor written; docs/hardware/drive-families.md says what "
-        "must be set there, with their maker's tool."
-    )
-
-
-def plan(report: Report) -> list[str]:
-    """What a write would change, a line a drive."""
+def plan(report: Report, *, store: bool = True) -> list[str]:
+    """What a write would change, a line a drive; without `store` only what a drive does not keep."""
     lines = []
     for drive in report["drives"]:
         changes = ", ".join(
             f"{setting['name']} {shown(setting['found'])} → {shown(setting['wanted'])}"
             for setting in drive["settings"]
-            if setting["name"] in drive["to_write"]
+            if setting["name"] in drive["to_write"] and (store or not setting["kept"])
         )
         if changes:
             lines.append(f"{drive['joint']} (address {drive['address']}): {changes}")
@@ -193,11 +183,11 @@ def run(
     """
     if arm.bus.interface == "mock":
         raise Refusal(f"Arm {arm.name} has mock drives and no bus, so there are no settings to read.")
-    if not zdt_joints(arm):
-        raise Refusal(f"Arm {arm.name} has no ZDT drive, and only their settings are known here: {not_read(arm)}")
     with offline_process("rtloop.offline.settings", argument, overrides) as process:
         report = process.answer("ready")
-        if not write or not plan(report):
+        if write and not store and plan(report) != plan(report, store=False):
+            told(KEPT)
+        if not write or not plan(report, store=store):
             show(report)
             if store:
                 told(NOTHING_TO_STORE)
@@ -219,26 +209,32 @@ def render(arm: ArmConfig, report: Report) -> RenderableType:
     """Drives side by side, then every sentence."""
     drives = report["drives"]
     parts: list[RenderableType] = [
-        Text(f"{arm.name}: {len(drives)} drives, {arm.bus.interface} on {arm.bus.resolved_channel}", style="bold"),
-        _table(drives),
+        Text(f"{arm.name}: {len(drives)} drives, {arm.bus.interface} on {arm.bus.resolved_channel}", style="bold")
     ]
-    sentences = [sentence for drive in drives for sentence in (*drive["left_alone"], *drive["notes"])]
-    beside = not_read(arm)
-    sentences += [beside[0].upper() + beside[1:]] if beside else []
+    families = {joint.name: joint.drive.family for joint in arm.joints}
+    for family in dict.fromkeys(families[drive["joint"]] for drive in drives):
+        parts.append(_table([drive for drive in drives if families[drive["joint"]] == family]))
+    sentences = dict.fromkeys(sentence for drive in drives for sentence in (*drive["left_alone"], *drive["notes"]))
     parts += [Text(f"- {sentence}") for sentence in sentences]
-    which = "Every drive that was read" if beside else "Every drive"
-    parts.append(Text(summary(report, which), style="bold"))
+    if any(setting["found"] is None for drive in drives for setting in drive["settings"]):
+        parts.append(Text("- ? stands for what a drive does not report."))
+    parts.append(Text(summary(report), style="bold"))
     return Group(*parts)
 
 
-def summary(report: Report, which: str = "Every drive") -> str:
-    """The last line: whether all is well, and what to do where it is not; `which` drives are spoken of."""
+def summary(report: Report) -> str:
+    """The last line: whether all is well, and what to do where it is not."""
     drives = report["drives"]
     if agrees(report):
-        return f"{which} is as the arm file wants it; what the file does not name is shown in brackets."
+        return "Every drive is as the arm file wants it; what the file does not name is shown in brackets."
     changes = sum(len(drive["to_write"]) for drive in drives)
+    kept = sum(s.get("kept", False) for drive in drives for s in drive["settings"] if s["name"] in drive["to_write"])
     if "failure" in report and changes:
         return f"{_count(changes, 'setting')} still to be written."
+    if changes and changes == kept:
+        return (
+            f"{_count(changes, 'setting')} to be written: --write --store writes flash, where alone drives have them."
+        )
     if changes:
         return (
             f"{_count(changes, 'setting')} to be written: --write writes volatile memory, which the next power cycle "
@@ -259,9 +255,14 @@ def _table(drives: list[Report]) -> Table:
     names = list(dict.fromkeys(setting["name"] for drive in drives for setting in drive["settings"]))
     for name in names:
         table.add_row(HEADINGS.get(name, name), *(_cell(drive, name) for drive in drives))
-    table.add_row("supply V", *(_plain(drive["supply_v"]) for drive in drives))
-    table.add_row("trips at °C", *(_plain((drive["trip"] or {}).get("temperature_c")) for drive in drives))
-    table.add_row("homing", *(_plain((drive["homing"] or {}).get("mode")) for drive in drives))
+    told_of_all = {
+        "supply V": [drive["supply_v"] for drive in drives],
+        "trips at °C": [(drive["trip"] or {}).get("temperature_c") for drive in drives],
+        "homing": [(drive["homing"] or {}).get("mode") for drive in drives],
+    }
+    for name, values in told_of_all.items():
+        if any(value is not None for value in values):
+            table.add_row(name, *map(_plain, values))
     return table
 
 
@@ -285,4 +286,12 @@ def _plain(value: Any) -> Text:
 
 def shown(value: Any) -> str:
     """A value as people read it; ? for what a drive does not say."""
-    return "?" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+    match value:
+        case None:
+            return "?"
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:g}"
+        case _:
+            return str(value)

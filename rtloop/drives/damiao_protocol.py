@@ -58,12 +58,20 @@ class Register(NamedTuple):
 
 
 FLOAT, WHOLE = Single(4), Number(4, 4)
+UNDER_VOLTAGE_V, TORQUE_CONSTANT = Register(0, FLOAT), Register(1, FLOAT)
+OVER_TEMPERATURE_C, OVER_CURRENT_SHARE = Register(2, FLOAT), Register(3, FLOAT)
 ACC, DEC = Register(4, FLOAT), Register(5, FLOAT)
 """Ramps (rad/s², negative for braking)."""
-MASTER_ID = Register(7, WHOLE)
+MOST_SPEED = Register(6, FLOAT)
+MASTER_ID, ESC_ID = Register(7, WHOLE), Register(8, WHOLE)
 TIMEOUT = Register(9, WHOLE)
 TIMEOUT_UNIT_S = 50e-6
 CONTROL_MODE = Register(10, WHOLE)
 MODES = {"mit": 1, "position_velocity": 2}
+VERSION, SUB_VERSION = Register(14, WHOLE), Register(36, WHOLE)
+GEAR, POSITION_GAIN = Register(20, FLOAT), Register(27, FLOAT)
 PMAX, VMAX, TMAX = Register(21, FLOAT), Register(22, FLOAT), Register(23, FLOAT)
 """What the fields of position, velocity and torque reach either way."""
+OVER_VOLTAGE_V, SUPPLY_V = Register(29, FLOAT), Register(60, FLOAT)
+BIT_RATE = Register(35, WHOLE)
+BIT_RATES = {0: 125_000, 1: 200_000, 2: 250_000, 3: 500_000, 4: 1_000_000}

@@ -122,7 +122,7 @@ def kept_power(host: PowerHost, joint: int) -> Part[bool]:
 
 def _is_enabled(config: JointConfig) -> Part[bool | None]:
     """Whether the motor is enabled; None if it does not answer."""
-    answer = yield _asked(config)
+    answer = yield asked_feedback(config)
     return None if answer is None else feedback_of(answer.data, _drive(config).ranges).code == protocol.ENABLED
 
 
@@ -209,10 +209,10 @@ def _confirmed_feedback(joint: int, config: JointConfig) -> Part[Feedback]:
     )
 
 
-def _asked(config: JointConfig) -> AskFrames:
+def asked_feedback(config: JointConfig) -> AskFrames:
     """The request for a motor's feedback, which comes on its master ID with its own ID in the lowest bits."""
     drive = _drive(config)
-    return AskFrames((_registers(drive, protocol.FEEDBACK),), lambda frame: is_feedback(drive, frame.data))
+    return AskFrames((registers(drive, protocol.FEEDBACK),), lambda frame: is_feedback(drive, frame.data))
 
 
 def is_feedback(drive: DamiaoDrive, data: bytes) -> bool:
@@ -227,7 +227,7 @@ def _tells_register(drive: DamiaoDrive, data: bytes) -> bool:
 
 def _feedback(joint: int, config: JointConfig) -> Part[Feedback]:
     """Read the motor's feedback; raises DialogueFailed."""
-    answer = yield from answered(joint, config, _asked(config), "feedback")
+    answer = yield from answered(joint, config, asked_feedback(config), "feedback")
     return feedback_of(answer.data, _drive(config).ranges)
 
 
@@ -238,7 +238,7 @@ def _sound(host: Host, joint: int) -> Part[Feedback]:
     """
     config = host.arm.joints[joint]
     drive = _drive(config)
-    answer = yield _asked(config)
+    answer = yield asked_feedback(config)
     if answer is None:
         raise unanswered(
             joint,
@@ -269,7 +269,7 @@ def _check_ranges(joint: int, config: JointConfig) -> Part[None]:
     """Check that the fields of the motor's frames have the ranges that the arm file states; raises DialogueFailed."""
     drive = _drive(config)
     for (register, name, what, unit), field_name, expected in zip(RANGES, RANGE_FIELDS, drive.ranges, strict=True):
-        value = yield from _read(joint, config, register)
+        value = yield from read_register(joint, config, register)
         if math.isclose(value, expected, rel_tol=SAME):
             continue
         raise DialogueFailed(
@@ -303,7 +303,7 @@ def _set_up(host: Host, joint: int, *, enabled: bool) -> Part[None]:
     config = host.arm.joints[joint]
     drive = _drive(config)
     done: list[str] = []
-    mode = yield from _read(joint, config, protocol.CONTROL_MODE)
+    mode = yield from read_register(joint, config, protocol.CONTROL_MODE)
     wanted_mode = protocol.MODES[drive.mode]
     if mode != wanted_mode:
         if enabled:
@@ -314,18 +314,18 @@ def _set_up(host: Host, joint: int, *, enabled: bool) -> Part[None]:
                 "support the arm, switch the drive off, then on, and `rtarm clear-fault`, or `rtarm up` where it has "
                 "ended; or set mode in the arm file to what it is.",
             )
-        yield from _write(joint, config, protocol.CONTROL_MODE, wanted_mode)
+        yield from write_register(joint, config, protocol.CONTROL_MODE, wanted_mode)
         done.append(f"its mode from {mode} to {wanted_mode} ({drive.mode}, {protocol.CONTROL_MODE})")
     if drive.plans_its_motion:
         ramp = config.max_acceleration_rad_s2 * host.arm.limits.silence_brake_factor * config.ratio
         for register, name, wanted in ((protocol.ACC, "acceleration", ramp), (protocol.DEC, "deceleration", -ramp)):
-            value = yield from _read(joint, config, register)
+            value = yield from read_register(joint, config, register)
             if not math.isclose(value, wanted, rel_tol=SAME):
-                yield from _write(joint, config, register, wanted)
+                yield from write_register(joint, config, register, wanted)
                 done.append(f"its {name} from {value:g} to {wanted:g} rad/s² ({register})")
-    timeout = yield from _read(joint, config, protocol.TIMEOUT)
+    timeout = yield from read_register(joint, config, protocol.TIMEOUT)
     if timeout:
-        yield from _write(joint, config, protocol.TIMEOUT, 0)
+        yield from write_register(joint, config, protocol.TIMEOUT, 0)
         done.append(
             f"its alarm time from {timeout * protocol.TIMEOUT_UNIT_S * 1e3:g} ms to none ({protocol.TIMEOUT}: it would "
             "let go of the joint when it hears nothing for so long; without it the motor stays where it was told)"
@@ -334,29 +334,29 @@ def _set_up(host: Host, joint: int, *, enabled: bool) -> Part[None]:
         host.tell(f"The drive of {config.name} was set up until it loses its power: {', '.join(done)}.")
 
 
-def _registers(drive: DamiaoDrive, operation: int, values: Values = NO_VALUES) -> Frame:
+def registers(drive: DamiaoDrive, operation: int, values: Values = NO_VALUES) -> Frame:
     """A frame on 7FF."""
     said = {protocol.OWNER: drive.motor_id, protocol.OPERATION: operation, **values}
     return Frame(REGISTERS_ID, packed(said), kind=STANDARD)
 
 
-def _read(joint: int, config: JointConfig, register: Register) -> Part[float]:
+def read_register(joint: int, config: JointConfig, register: Register) -> Part[float]:
     """The value of a register; raises DialogueFailed."""
     return unpacked((yield from _told_of(joint, config, register)), register.value)
 
 
 def _told_of(joint: int, config: JointConfig, register: Register) -> Part[bytes]:
     """The data of a motor's answer about a register; raises DialogueFailed."""
-    request = _registers(_drive(config), protocol.READ, {protocol.REGISTER: register.number})
+    request = registers(_drive(config), protocol.READ, {protocol.REGISTER: register.number})
     expected = request.data[:4]
     question = AskFrames((request,), lambda frame: len(frame.data) == 8 and frame.data[:4] == expected)
     return bytes((yield from answered(joint, config, question, str(register))).data)
 
 
-def _write(joint: int, config: JointConfig, register: Register, value: float) -> Part[None]:
+def write_register(joint: int, config: JointConfig, register: Register, value: float) -> Part[None]:
     """Write a register in volatile memory and read it back; raises DialogueFailed."""
     values: Values = {protocol.REGISTER: register.number, register.value: value}
-    request = _registers(_drive(config), protocol.WRITE, values)
+    request = registers(_drive(config), protocol.WRITE, values)
 
     def write() -> Dialogue:
         yield say(request)

@@ -57,7 +57,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     can_id = _can_id(config)
-    if (yield _ask(can_id, 8, protocol.READ_POSITION)) is None:
+    if (yield ask(can_id, 8, protocol.READ_POSITION)) is None:
         menu = f"CanID and CanRate ({host.arm.bus.bitrate} bit/s) in its menu"
         raise unanswered(joint, config, f"CanID {can_id}", menu)
     was_homing = yield from _stand(host, joint)
@@ -68,7 +68,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     yield from _settle_mode(host, joint)
     yield from _settle_answers(host, joint)
     enabled = yield from _read(joint, config, protocol.READ_ENABLED, "status")
-    if not (yield from _lets_go_stalled(config)):
+    if not (yield from lets_go_stalled(config)):
         host.post(HOLDS_STALLED, joint=joint)
     yield from _clear_protection(host, joint)
     if not enabled or not (yield from _read(joint, config, protocol.READ_ENABLED, "status")):
@@ -81,7 +81,7 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
     config = arm.joints[joint]
 
     def told() -> Part[str]:
-        enabled = yield _ask(_can_id(config), 3, protocol.READ_ENABLED, before=(bytes((protocol.ENABLE, 0)),))
+        enabled = yield ask(_can_id(config), 3, protocol.READ_ENABLED, before=(bytes((protocol.ENABLE, 0)),))
         return "" if enabled is not None and unpacked(enabled.data, protocol.VALUE) == 0 else "stays enabled"
 
     yield from let_go(joint, config, told)
@@ -99,7 +99,7 @@ def home(host: ReferencingHost, joint: int) -> Part[float]:
     yield from _begin_run(host, joint, config)
     stopped = yield from _see_it_end(host, joint, config, began)
     measured = yield from _unbroken(host, joint, _position(joint, config))
-    result = yield _ask(can_id, (3, 4), protocol.READ_HOMED)
+    result = yield ask(can_id, (3, 4), protocol.READ_HOMED)
     tripped = yield from _tripped(joint, config)
     failed = result is not None and result.data[-2] == protocol.HOMING_FAILED
     if failed or tripped or abs(measured) > SYNC_WITHIN_RAD * config.encoder_counts_per_rad:
@@ -125,7 +125,7 @@ def end_homing(host: ReferencingHost, joint: int) -> Dialogue:
     config = host.arm.joints[joint]
     seen = 0
     for _ in range(TRIES + AGREEING):
-        state = yield _ask(_can_id(config), 3, protocol.READ_STATE, before=(bytes((protocol.EMERGENCY_STOP,)),))
+        state = yield ask(_can_id(config), 3, protocol.READ_STATE, before=(bytes((protocol.EMERGENCY_STOP,)),))
         seen = seen + 1 if state is not None and unpacked(state.data, protocol.VALUE) == protocol.STANDS else 0
         if seen >= AGREEING:
             return
@@ -138,7 +138,7 @@ def end_homing(host: ReferencingHost, joint: int) -> Dialogue:
 
 def _begin_run(host: ReferencingHost, joint: int, config: JointConfig) -> Part[None]:
     can_id, since_ns = _can_id(config), host.now_ns
-    answer = yield _ask(can_id, 3, protocol.HOME, answered=False)  # its state shows whether the run has begun
+    answer = yield ask(can_id, 3, protocol.HOME, answered=False)  # its state shows whether the run has begun
     refused = answer is not None and unpacked(answer.data, protocol.VALUE) == protocol.REFUSED
     seen = 0
     while not refused and host.now_ns - since_ns < BEGIN_NS:
@@ -201,7 +201,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
     before: tuple[bytes, ...] = ()
     standing, was_homing = 0, False
     while standing < AGREEING:
-        answer = yield from answered(joint, config, _ask(can_id, 3, protocol.READ_STATE, before=before), "state")
+        answer = yield from answered(joint, config, ask(can_id, 3, protocol.READ_STATE, before=before), "state")
         state = unpacked(answer.data, protocol.VALUE)
         if state == protocol.CALIBRATING:
             raise DialogueFailed(
@@ -229,17 +229,17 @@ def _stand(host: Host, joint: int) -> Part[bool]:
 def _settle_mode(host: Host, joint: int) -> Part[None]:
     """Check that the drive takes commands from the bus, and their speed as rpm; set its work mode if need be."""
     config = host.arm.joints[joint]
-    microsteps = yield from _parameter(config, protocol.MICROSTEPS, 3)
+    microsteps = yield from parameter(config, protocol.MICROSTEPS, 3)
     if microsteps is not None and (microsteps[1] or 256) not in protocol.TRUE_SPEED_MICROSTEPS:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} is set to {microsteps[1] or 256} microsteps, with which its speed is not the "
             "one it is told: set MStep in its menu to 16, 32 or 64.",
         )
-    mode = yield from _parameter(config, protocol.WORK_MODE, 3)
+    mode = yield from parameter(config, protocol.WORK_MODE, 3)
     if mode is not None and mode[1] == protocol.SR_VFOC:
         return
-    if not (yield from _told(config, protocol.WORK_MODE, protocol.SR_VFOC)):
+    if not (yield from write_setting(config, protocol.WORK_MODE, protocol.SR_VFOC)):
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not take the work mode SR_vFOC, in which alone it heeds commands from "
@@ -253,10 +253,10 @@ def _settle_answers(host: Host, joint: int) -> Part[None]:
     """Turn acknowledgements on or off as the arm file says; reports of ended motions are turned off in any case."""
     config = host.arm.joints[joint]
     wanted = int(host.arm.bus.acknowledge)
-    found = yield from _parameter(config, protocol.ANSWERS, 4)
+    found = yield from parameter(config, protocol.ANSWERS, 4)
     if found is not None and found[1:3] == bytes((wanted, 0)):
         return
-    if (yield from _told(config, protocol.ANSWERS, wanted, 0)):
+    if (yield from write_setting(config, protocol.ANSWERS, wanted, 0)):
         if found is not None:
             name = "on" if wanted else "off"
             host.tell(f"{config.name}: acknowledgements turned {name} in its drive, which keeps that.")
@@ -283,7 +283,7 @@ def _clear_protection(host: Host, joint: int) -> Part[None]:
             f"The drive of {config.name} has tripped its protection (stall) and holds nothing: free what blocks the "
             f"joint, {ERROR_AT_START}.",
         )
-    yield _ask(_can_id(config), 3, protocol.CLEAR_PROTECTION)
+    yield ask(_can_id(config), 3, protocol.CLEAR_PROTECTION)
     if (yield from _tripped(joint, config)):
         raise DialogueFailed(
             joint,
@@ -296,13 +296,13 @@ def _tripped(joint: int, config: JointConfig) -> Part[bool]:
     """Whether the drive's protection has tripped; the flag of a stall that left the torque on is cleared (3D)."""
     if not (yield from _read(joint, config, protocol.READ_STALLED, "protection")):
         return False
-    if (yield from _lets_go_stalled(config)):
+    if (yield from lets_go_stalled(config)):
         return True
-    yield _ask(_can_id(config), 3, protocol.CLEAR_PROTECTION)
+    yield ask(_can_id(config), 3, protocol.CLEAR_PROTECTION)
     return False
 
 
-def _lets_go_stalled(config: JointConfig) -> Part[bool]:
+def lets_go_stalled(config: JointConfig) -> Part[bool]:
     """Whether a stall switches the torque off: `Protect` (88) is on, or the guard of the position error (9D) is.
 
     A setting that cannot be read is taken to be on.
@@ -320,7 +320,7 @@ def _enable(arm: ArmConfig, joint: int) -> Part[None]:
     config = arm.joints[joint]
     before = (bytes((protocol.ENABLE, 1)), STOP_AT_ONCE)
     for _ in range(TRIES):
-        enabled = yield _ask(_can_id(config), 3, protocol.READ_ENABLED, before=before)
+        enabled = yield ask(_can_id(config), 3, protocol.READ_ENABLED, before=before)
         if enabled is not None and unpacked(enabled.data, protocol.VALUE) == 1:
             return
     raise DialogueFailed(
@@ -340,7 +340,7 @@ def _standing(host: Host, joint: int, reason: Unreferenced) -> Part[Found]:
             return Found(measured, target, reason)
         if not stopped:  # the target is not from this process
             stopped = True
-            yield _ask(_can_id(config), 3, protocol.READ_STATE, before=(STOP_AT_ONCE,))
+            yield ask(_can_id(config), 3, protocol.READ_STATE, before=(STOP_AT_ONCE,))
         elif host.now_ns - started_ns > SETTLE_PATIENCE_NS:
             return Found(measured, measured, reason)
 
@@ -366,7 +366,7 @@ def _is_answer(can_id: int, lengths: tuple[int, ...], code: int) -> Callable[[Fr
     return is_answer
 
 
-def _ask(
+def ask(
     can_id: int, length: int | tuple[int, ...], *data: int, before: tuple[bytes, ...] = (), answered: bool = True
 ) -> AskFrames:
     """A command whose answer has `length` bytes; the commands `before` are sent right before it, at every try.
@@ -380,11 +380,11 @@ def _ask(
     return AskFrames(frames, lambda frame: is_answer(frame) and frame.data != frames[-1].data, answered)
 
 
-def _told(config: JointConfig, *data: int) -> Part[bool]:
+def write_setting(config: JointConfig, *data: int) -> Part[bool]:
     """Write a setting; whether the drive accepts it."""
     can_id = _can_id(config)
     for _ in range(TRIES):
-        answer = yield _ask(can_id, 3, *data)
+        answer = yield ask(can_id, 3, *data)
         if answer is None:
             return False
         if unpacked(answer.data, protocol.VALUE) == protocol.BEGUN:
@@ -392,7 +392,7 @@ def _told(config: JointConfig, *data: int) -> Part[bool]:
     return False
 
 
-def _parameter(config: JointConfig, code: int, length: int) -> Part[bytes | None]:
+def parameter(config: JointConfig, code: int, length: int) -> Part[bytes | None]:
     """Read a setting: the answer, of `length` bytes; None if the drive does not offer the setting for reading."""
     answer = yield _parameter_question(_can_id(config), code, (3, 4))
     if answer is None or len(answer.data) != length or answer.data[1:3] == protocol.UNKNOWN:
@@ -407,19 +407,19 @@ def _parameter_question(can_id: int, code: int, lengths: tuple[int, ...]) -> Ask
 
 def _read(joint: int, config: JointConfig, code: int, what: str) -> Part[int]:
     """The byte in the answer to a request of one byte; raises DialogueFailed."""
-    answer = yield from answered(joint, config, _ask(_can_id(config), 3, code), what)
+    answer = yield from answered(joint, config, ask(_can_id(config), 3, code), what)
     return unpacked(answer.data, protocol.VALUE)
 
 
 def _position(joint: int, config: JointConfig) -> Part[int]:
     """The motor's position (counts); raises DialogueFailed."""
-    answer = yield from answered(joint, config, _ask(_can_id(config), 8, protocol.READ_POSITION), "position")
+    answer = yield from answered(joint, config, ask(_can_id(config), 8, protocol.READ_POSITION), "position")
     return unpacked(answer.data, protocol.COUNTS)
 
 
 def _target(joint: int, config: JointConfig) -> Part[int]:
     """The drive's target (counts): its position plus the error that it reports; raises DialogueFailed."""
-    answer = yield from answered(joint, config, _ask(_can_id(config), 6, protocol.READ_ERROR), "angle error")
+    answer = yield from answered(joint, config, ask(_can_id(config), 6, protocol.READ_ERROR), "angle error")
     error = unpacked(answer.data, protocol.ERROR_STEPS)
     measured = yield from _position(joint, config)
     return measured + round(error * COUNTS_PER_REVOLUTION / protocol.ERROR_STEPS_PER_REVOLUTION)

@@ -124,7 +124,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     drive = _drive(config)
-    if (yield _asked(drive, protocol.ANGLE)) is None:
+    if (yield asked(drive, protocol.ANGLE)) is None:
         rate = f"the bit rate ({host.arm.bus.bitrate} bit/s; motors come with 1000000)"
         raise unanswered(joint, config, f"motor_id {drive.motor_id}", f"its ID and {rate}")
     restarted = yield from _without_errors(host, joint)
@@ -189,7 +189,7 @@ def _agreed_uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
 def _uptime(host: PowerHost, joint: int) -> Part[Uptime | None]:
     """Read the motor's uptime once; None if it does not answer."""
     asked_ns = host.now_ns + suspended_ns()
-    answer = yield _asked(_drive(host.arm.joints[joint]), protocol.UPTIME)
+    answer = yield asked(_drive(host.arm.joints[joint]), protocol.UPTIME)
     if answer is None:
         return None
     ms = unpacked(answer.data, protocol.UPTIME_MS)
@@ -204,7 +204,7 @@ def suspended_ns() -> int:
 def disable(arm: ArmConfig, joint: int) -> Dialogue:
     """Shut the motor down, which it acknowledges; raises DialogueFailed."""
     config = arm.joints[joint]
-    if (yield _asked(_drive(config), protocol.SHUTDOWN)) is None:
+    if (yield asked(_drive(config), protocol.SHUTDOWN)) is None:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not say that it has let go: keep clear of the arm, check its power and "
@@ -230,7 +230,7 @@ def _without_errors(host: Host, joint: int) -> Part[bool]:
         host.tell(f"{config.name}: its drive is restarted, because its error ({words}) ends with that only.")
         yield say(_frame(_drive(config), protocol.RESET))
         began_ns = host.now_ns
-        while (yield _asked(_drive(config), protocol.ANGLE)) is None:
+        while (yield asked(_drive(config), protocol.ANGLE)) is None:
             if host.now_ns - began_ns > RESTART_S * 1e9:
                 raise DialogueFailed(joint, silent_amid(config, "restart"))
     for _ in range(TRIES):
@@ -263,8 +263,8 @@ def _with_its_ramp(host: Host, joint: int) -> Part[None]:
     """Check the ramps of the motor's position planning, and write those that differ; raises DialogueFailed."""
     config = host.arm.joints[joint]
     wanted = ramp_dps_s(config, host.arm)
-    up = yield from _with_ramp(joint, config, *protocol.RAMPS[0], wanted)
-    down = yield from _with_ramp(joint, config, *protocol.RAMPS[1], wanted)
+    up = yield from with_ramp(joint, config, *protocol.RAMPS[0], wanted)
+    down = yield from with_ramp(joint, config, *protocol.RAMPS[1], wanted)
     if up != wanted or down != wanted:
         host.tell(
             f"{config.name}: the ramp of its drive was {up} °/s² up and {down} °/s² down, and is {wanted} °/s² now; "
@@ -272,7 +272,7 @@ def _with_its_ramp(host: Host, joint: int) -> Part[None]:
         )
 
 
-def _with_ramp(joint: int, config: JointConfig, index: int, name: str, wanted: int) -> Part[int]:
+def with_ramp(joint: int, config: JointConfig, index: int, name: str, wanted: int) -> Part[int]:
     """Write a ramp where it is another one; what it was before (degrees/s²). Raises DialogueFailed."""
     before = found = yield from _ramp(joint, config, index, name)
     ramp: Values = {protocol.RAMP_INDEX: index, protocol.RAMP_DPS_S: wanted}
@@ -301,7 +301,7 @@ def _frame(drive: MyactuatorDrive, command: int, values: Values = NO_VALUES) -> 
     return Frame(REQUEST + drive.motor_id, packed({protocol.COMMAND: command, **values}), kind=STANDARD)
 
 
-def _asked(drive: MyactuatorDrive, command: int, values: Values = NO_VALUES) -> AskFrames:
+def asked(drive: MyactuatorDrive, command: int, values: Values = NO_VALUES) -> AskFrames:
     """A command whose answer begins with the same byte, and for a ramp with the same index too."""
     request = _frame(drive, command, values)
     same = 2 if command in (protocol.READ_RAMP, protocol.WRITE_RAMP) else 1
@@ -315,7 +315,7 @@ def _asked(drive: MyactuatorDrive, command: int, values: Values = NO_VALUES) -> 
 
 def _answered(joint: int, config: JointConfig, command: int, what: str, values: Values = NO_VALUES) -> Part[bytes]:
     """The data of the answer to a command; raises DialogueFailed if there is none."""
-    return bytes((yield from answered(joint, config, _asked(_drive(config), command, values), what)).data)
+    return bytes((yield from answered(joint, config, asked(_drive(config), command, values), what)).data)
 
 
 def _angle(joint: int, config: JointConfig) -> Part[int]:

@@ -73,7 +73,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     """See `rtloop.drives.setup.Setup.bring_up` and the head of this file."""
     config = host.arm.joints[joint]
     node = _drive(config).node_id
-    if (yield _asked(node, protocol.ESTIMATES)) is None:
+    if (yield asked(node, protocol.ESTIMATES)) is None:
         rate = f"{host.arm.bus.bitrate} bit/s; axis.config.can.node_id and can.config.baud_rate"
         raise unanswered(joint, config, f"node {node}", f"its node and the bit rate ({rate})")
     firmware = yield from _firmware(node)
@@ -91,7 +91,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
             break
         require_may_enable(host, joint)
         yield say(_frame(node, protocol.AXIS_STATE, {protocol.WANTED_STATE: protocol.CLOSED_LOOP}))
-        beat = yield from _heartbeat(host.arm, joint, lambda beat: beat.state == protocol.CLOSED_LOOP)
+        beat = yield from heartbeat(host.arm, joint, lambda beat: beat.state == protocol.CLOSED_LOOP)
         if beat.state == protocol.CLOSED_LOOP:
             break
     else:
@@ -111,7 +111,7 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
     def told() -> Part[str]:
         yield say(_frame(_drive(config).node_id, protocol.AXIS_STATE, {protocol.WANTED_STATE: protocol.IDLE}))
-        beat = yield from _heartbeat(arm, joint, lambda beat: beat.state != protocol.CLOSED_LOOP)
+        beat = yield from heartbeat(arm, joint, lambda beat: beat.state != protocol.CLOSED_LOOP)
         return "keeps its loop closed" if beat.state == protocol.CLOSED_LOOP else ""
 
     yield from let_go(joint, config, told, "look at the axis in odrivetool")
@@ -133,21 +133,24 @@ def _why_open(beat: Beat, firmware: Firmware) -> str:
 
 def _firmware(node: int) -> Part[Firmware]:
     """The firmware's version; 0.5 if the node does not answer the request for it."""
-    answer = yield _asked(node, protocol.VERSION)
-    if answer is None:
-        return Firmware()
-    return Firmware(*(unpacked(answer.data, part) for part in (protocol.MAJOR, protocol.MINOR, protocol.REVISION)))
+    answer = yield asked(node, protocol.VERSION)
+    return Firmware() if answer is None else firmware_in(answer.data)
+
+
+def firmware_in(data: bytes) -> Firmware:
+    """The version in the answer to the request for it."""
+    return Firmware(*(unpacked(data, part) for part in (protocol.MAJOR, protocol.MINOR, protocol.REVISION)))
 
 
 def _without_errors(host: Host, joint: int, firmware: Firmware) -> Part[Beat]:
     """Check that the axis has no error, and clear one if the operator asked for that; raises DialogueFailed."""
     config = host.arm.joints[joint]
     initializing = protocol.INITIALIZING if firmware.is_0_6 else None
-    beat = yield from _heartbeat(host.arm, joint, lambda beat: beat.error != initializing)
+    beat = yield from heartbeat(host.arm, joint, lambda beat: beat.error != initializing)
 
     def cleared() -> Part[Beat]:
         yield say(_frame(_drive(config).node_id, protocol.CLEAR_ERRORS))
-        return (yield from _heartbeat(host.arm, joint, lambda beat: beat.error == 0))
+        return (yield from heartbeat(host.arm, joint, lambda beat: beat.error == 0))
 
     return (
         yield from without_error(
@@ -172,7 +175,7 @@ def _frame(node: int, command: int, values: Values = NO_VALUES) -> Frame:
     return Frame(node << NODE_BIT | command, packed(values), kind=STANDARD)
 
 
-def _asked(node: int, command: int) -> AskFrames:
+def asked(node: int, command: int) -> AskFrames:
     """A request (remote frame) for one of the node's values."""
     request = _frame(node, command)._replace(kind=STANDARD | REMOTE)
     return AskFrames((request,), lambda frame: _says(frame, command))
@@ -186,7 +189,7 @@ def _says(frame: Frame, command: int) -> bool:
 def _turns(joint: int, config: JointConfig) -> Part[float]:
     """The motor's position (turns); raises DialogueFailed."""
     for _ in range(TRIES):
-        answer = yield from answered(joint, config, _asked(_drive(config).node_id, protocol.ESTIMATES), "position")
+        answer = yield from answered(joint, config, asked(_drive(config).node_id, protocol.ESTIMATES), "position")
         turns = unpacked(answer.data, protocol.TURNS)
         if math.isfinite(turns):
             return turns
@@ -197,7 +200,7 @@ def _turns(joint: int, config: JointConfig) -> Part[float]:
     )
 
 
-def _heartbeat(arm: ArmConfig, joint: int, until: Callable[[Beat], bool]) -> Part[Beat]:
+def heartbeat(arm: ArmConfig, joint: int, until: Callable[[Beat], bool]) -> Part[Beat]:
     """Wait for a heartbeat that is as wanted; after a timeout, the last one.
 
     Raises DialogueFailed if none came.

@@ -20,7 +20,9 @@ FEEDBACK, FAULT = 2, 21
 """Types of frames that only a motor sends."""
 RUN_MODE, SPEED_TARGET, POSITION_TARGET, SPEED_LIMIT = 0x7005, 0x700A, 0x7016, 0x7017
 POSITION, VELOCITY, VOLTAGE, POSITION_GAIN = 0x7019, 0x701B, 0x701C, 0x701E
+TORQUE_LIMIT, CURRENT_LIMIT, TIMEOUT, ZERO_STA, ZERO_OFFSET = 0x700B, 0x7018, 0x7028, 0x7029, 0x702B
 """Indexes of parameters; values written with type 18 are lost without power."""
+TIMEOUT_UNIT_S = 50e-6
 RESET, RUN = 0, 2
 """Values of bits 22 and 23 of a feedback's identifier; 1 is calibrating."""
 MODE_BIT, FAULT_BIT = 22, 16
@@ -60,8 +62,8 @@ CLEAR = Number(0, 1)
 # of 17 and 18
 INDEX = Number(0, 2)
 VALUE = Single(4)
-BYTE = Number(4, 1)
-"""The value of a parameter of one byte."""
+BYTE, WHOLE = Number(4, 1), Number(4, 4)
+"""The value of a parameter that is a whole number, of one byte or four."""
 
 # of 21
 FAULT_WORD = Number(0, 4)

@@ -84,7 +84,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         joint,
         state,
         lambda state: state.fault_words,
-        lambda: _said(joint, config, _frame(drive, STOP, {protocol.CLEAR: 1})),
+        lambda: said(joint, config, _frame(drive, STOP, {protocol.CLEAR: 1})),
         called="fault",
     )
     arming = Arming(host, joint, lambda: _is_running(drive))
@@ -115,7 +115,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     standing = yield from confirmed(lambda: _where_it_stands(joint, config), SAME_PLACE_RAD * config.ratio)
     if drive.mode != "control":
         hold_rad_s = ERROR_SPEED_SHARE * config.max_velocity_rad_s * config.ratio
-        yield from _said(joint, config, _write(drive, protocol.SPEED_LIMIT, hold_rad_s))
+        yield from said(joint, config, _write(drive, protocol.SPEED_LIMIT, hold_rad_s))
         held = standing
     if drive.knows_its_angle:
         return Found(standing, held)
@@ -138,7 +138,7 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
     config = arm.joints[joint]
 
     def told() -> Part[str]:
-        state = yield from _said(joint, config, _frame(_drive(config), STOP))
+        state = yield from said(joint, config, _frame(_drive(config), STOP))
         return "keeps running" if state.mode == protocol.RUN else ""
 
     yield from let_go(joint, config, told, "switch the drive off")
@@ -146,7 +146,7 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 def _refuse_another_run_mode(joint: int, config: JointConfig) -> Part[None]:
     """Refuse a motor that runs in another run mode, which could only be changed by letting the joint fall."""
-    run_mode = unpacked((yield from _parameter(joint, config, protocol.RUN_MODE, "run mode")), protocol.BYTE)
+    run_mode = unpacked((yield from read_parameter(joint, config, protocol.RUN_MODE, "run mode")), protocol.BYTE)
     wanted = protocol.RUN_MODES[_drive(config).mode]
     if run_mode != wanted:
         raise DialogueFailed(
@@ -190,7 +190,7 @@ def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
     reach = drive.position_range_rad
     bits = protocol.PLACE.size
     held = fields.of_field(fields.field(held + reach / FIELD_STEPS, reach, bits), reach, bits)
-    yield from _said(joint, config, _hold(drive, held))
+    yield from said(joint, config, _hold(drive, held))
     return held
 
 
@@ -199,8 +199,8 @@ def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
     drive = _drive(config)
     wanted = protocol.RUN_MODES[drive.mode]
     found = yield from written(
-        lambda: _said(joint, config, _frame(drive, WRITE, {protocol.INDEX: protocol.RUN_MODE, protocol.BYTE: wanted})),
-        lambda: _parameter(joint, config, protocol.RUN_MODE, "run mode"),
+        lambda: said(joint, config, _frame(drive, WRITE, {protocol.INDEX: protocol.RUN_MODE, protocol.BYTE: wanted})),
+        lambda: read_parameter(joint, config, protocol.RUN_MODE, "run mode"),
         lambda found: unpacked(found, protocol.BYTE) == wanted,
     )
     if unpacked(found, protocol.BYTE) != wanted:
@@ -225,17 +225,17 @@ def _aim(joint: int, config: JointConfig, standing: float) -> Part[None]:
         protocol.POSITION_TARGET: standing,
     }
     for index, value in wanted.items():
-        yield from _set(joint, config, index, value)
+        yield from write_parameter(joint, config, index, value)
 
 
-def _set(joint: int, config: JointConfig, index: int, value: float) -> Part[None]:
+def write_parameter(joint: int, config: JointConfig, index: int, value: float) -> Part[None]:
     """Write a parameter and read it back; raises DialogueFailed if the motor does not take it."""
 
     def is_taken(has: float) -> bool:
         return math.isclose(has, value, rel_tol=ALIKE, abs_tol=ALIKE)
 
     has = yield from written(
-        lambda: _said(joint, config, _write(_drive(config), index, value)),
+        lambda: said(joint, config, _write(_drive(config), index, value)),
         lambda: _number(joint, config, index, f"parameter {index:X}"),
         is_taken,
     )
@@ -251,7 +251,7 @@ def _enabled(joint: int, config: JointConfig, standing: float) -> Part[State]:
     """Enable the motor, in control mode together with its first set-point; its state after that."""
     drive = _drive(config)
     hold = (_hold(drive, standing),) if drive.mode == "control" else ()
-    yield from _said(joint, config, _frame(drive, ENABLE), *hold)
+    yield from said(joint, config, _frame(drive, ENABLE), *hold)
     return (yield from _asked_again(joint, config))
 
 
@@ -287,7 +287,7 @@ def _hold(drive: RobstrideDrive, standing: float) -> Frame:
     return _frame(drive, CONTROL, {protocol.PLACE: place, protocol.SPEED: middle, **_gains(drive)}, data16=middle)
 
 
-def _said(joint: int, config: JointConfig, *frames: Frame) -> Part[State]:
+def said(joint: int, config: JointConfig, *frames: Frame) -> Part[State]:
     """Send frames that are answered with a feedback, and return its state; raises DialogueFailed without an answer."""
     return _state((yield from answered(joint, config, AskFrames(frames, _is_feedback), "state")))
 
@@ -300,7 +300,7 @@ def _asked_how_it_is(drive: RobstrideDrive) -> Part[State | None]:
 
 def _asked_again(joint: int, config: JointConfig) -> Part[State]:
     """Read the motor's state again; raises DialogueFailed if it no longer answers."""
-    return (yield from _said(joint, config, _write(_drive(config), protocol.SPEED_TARGET, 0.0)))
+    return (yield from said(joint, config, _write(_drive(config), protocol.SPEED_TARGET, 0.0)))
 
 
 def _is_feedback(frame: Frame) -> bool:
@@ -311,7 +311,7 @@ def _state(frame: Frame) -> State:
     return State(frame.id >> protocol.MODE_BIT & 3, frame.id >> protocol.FAULT_BIT & 0x3F)
 
 
-def _parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[bytes]:
+def read_parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[bytes]:
     """Read a parameter: the data of the answer; raises DialogueFailed."""
     request = _frame(_drive(config), READ, {protocol.INDEX: index})
 
@@ -324,7 +324,7 @@ def _parameter(joint: int, config: JointConfig, index: int, what: str) -> Part[b
 
 def _number(joint: int, config: JointConfig, index: int, what: str) -> Part[float]:
     """Read a parameter whose value is a float; raises DialogueFailed."""
-    return unpacked((yield from _parameter(joint, config, index, what)), protocol.VALUE)
+    return unpacked((yield from read_parameter(joint, config, index, what)), protocol.VALUE)
 
 
 def _where_it_stands(joint: int, config: JointConfig) -> Part[float]:

@@ -1,7 +1,8 @@
-"""CANopen's service data objects (SDO), as a drive's dialogue uses them: one expedited transfer at a time (CiA 301).
+"""CANopen's service data objects (SDO), as a drive's dialogue uses them: one transfer at a time (CiA 301).
 
 Request and reply have eight bytes: command, index (little-endian), sub-index, and four bytes of data or of abort code.
-A reply is recognised by index and sub-index, which it repeats. A value is a number of one to four bytes.
+A reply is recognised by index and sub-index, which it repeats. A value is a number of one to four bytes, or a text,
+which comes in segments of seven bytes if it is longer than four; what a toggle bit tells apart are the segments.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ WRITE = {1: 0x2F, 2: 0x2B, 3: 0x27, 4: 0x23}
 """Command byte of a write, by the size of the value in bytes."""
 SIZE_SHOWN = 0x01
 READ_REPLY, READ_REPLY_MASK = 0x42, 0xE2
+EXPEDITED = 0x02
+TEXT_REPLY, TEXT_REPLY_MASK = 0x40, 0xE0
+READ_SEGMENT, SEGMENT_TOGGLE, LAST_SEGMENT, MOST_SEGMENTS = 0x60, 0x10, 0x01, 20
 SDO_BYTES = 8
 
 NO_OBJECT, NO_SUBINDEX = 0x0602_0000, 0x0609_0011
@@ -131,6 +135,21 @@ class Node:
                 return None
             raise
 
+    def read_text(self, entry: Object) -> Part[str]:
+        """Read an object that holds a text, of 140 characters at most; raises Aborted."""
+        reply = yield _asked(self.number, entry, READ, b"", lambda command: command & TEXT_REPLY_MASK == TEXT_REPLY)
+        first = self._heard(entry, reply, "tell").data
+        if first[0] & EXPEDITED:
+            return _text(first[4 : 8 - (first[0] >> 2 & 3) if first[0] & SIZE_SHOWN else 8])
+        text, toggle = b"", 0
+        for _ in range(MOST_SEGMENTS):
+            part = self._heard(entry, (yield _segment(self.number, toggle)), "tell").data
+            text += part[1 : 8 - (part[0] >> 1 & 7)]
+            if part[0] & LAST_SEGMENT:
+                break
+            toggle ^= SEGMENT_TOGGLE
+        return _text(text)
+
     def write(self, entry: Object, value: int) -> Part[None]:
         """Write a value into an object; raises Aborted."""
         reply = yield writing(self.number, entry, value)
@@ -166,3 +185,19 @@ def _asked(node: int, entry: Object, command: int, data: bytes, fits: Callable[[
         return frame.data[0] == ABORT or fits(frame.data[0])
 
     return AskFrames((request,), is_answer)
+
+
+def _segment(node: int, toggle: int) -> AskFrames:
+    """The request for the next segment of a text."""
+    request = Frame(SDO_REQUEST + node, bytes((READ_SEGMENT | toggle,)).ljust(SDO_BYTES, b"\0"), kind=STANDARD)
+
+    def is_answer(frame: Frame) -> bool:
+        if frame.id != SDO_REPLY + node or len(frame.data) != SDO_BYTES:
+            return False
+        return frame.data[0] == ABORT or frame.data[0] & (TEXT_REPLY_MASK | SEGMENT_TOGGLE) == toggle
+
+    return AskFrames((request,), is_answer)
+
+
+def _text(data: bytes) -> str:
+    return data.rstrip(b"\0 ").decode("ascii", "replace")

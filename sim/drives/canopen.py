@@ -3,8 +3,9 @@
 A profile derives from `CanopenNode`, adds its objects, and says what a lost connection does (`disconnect`).
 
 Modelled: expedited and segmented transfers; four PDOs each way, mapped while they are off; synchronous and event-driven
-PDOs; the node's states; heartbeats, its own and the host's. Not modelled: block transfers, guarding, inhibit and event
-timers, a SYNC of its own, the sync window, stored parameters.
+PDOs; the node's states; heartbeats, its own and the host's; storing (1010) what a profile keeps and the heartbeat's
+time, [inf] not while it is in use (`in_use`). Not modelled: block transfers, guarding, inhibit and event
+timers, a SYNC of its own, the sync window, restoring of defaults (1011).
 """
 
 from __future__ import annotations
@@ -41,6 +42,9 @@ UNKNOWN_COMMAND, WRONG_TOGGLE = 0x0504_0001, 0x0503_0000
 WRITE_ONLY, READ_ONLY, NO_OBJECT, NO_SUBINDEX = 0x0601_0001, 0x0601_0002, 0x0602_0000, 0x0609_0011
 NOT_MAPPABLE, PDO_TOO_LONG, WRONG_VALUE = 0x0604_0041, 0x0604_0042, 0x0609_0030
 TOO_LONG, TOO_SHORT, NOT_IN_THIS_STATE = 0x0607_0012, 0x0607_0013, 0x0800_0022
+NOT_STORED = 0x0800_0020
+SAVE, STORES_WHEN_TOLD = 0x6576_6173, 1
+"""What 1010:01 wants to be written ("save"), and says of itself."""
 
 HEARTBEAT_LOST, PDO_TOO_SHORT, NO_ERROR = 0x8130, 0x8210, 0x0000
 COMMUNICATION_ERROR, GENERIC_ERROR = 0x10, 0x01
@@ -122,6 +126,7 @@ class CanopenNode(ServoDrive):
         node: its number.
         state: of the node, as its heartbeat tells it.
         objects: its dictionary, by index and sub-index.
+        flash: values that it was told to store, likewise.
         remaps_in_operation: whether PDOs may be mapped while the node is operational.
     """
 
@@ -140,6 +145,7 @@ class CanopenNode(ServoDrive):
         self.state = PRE_OPERATIONAL
         self.remaps_in_operation = True
         self.objects: dict[tuple[int, int], Entry] = {}
+        self.flash: dict[tuple[int, int], int] = {}
         self._transfer: _Transfer | None = None
         self._receive: list[_Pdo] = []
         self._transmit: list[_Pdo] = []
@@ -149,6 +155,11 @@ class CanopenNode(ServoDrive):
     @abstractmethod
     def disconnect(self) -> None:
         """The node has left its operation, or hears its host no more, while somebody relies on it."""
+
+    @property
+    @abstractmethod
+    def in_use(self) -> bool:
+        """Whether it does what it is for, and stores nothing meanwhile."""
 
     @abstractmethod
     def default_pdos(self) -> tuple[Iterable[tuple[int, ...]], Iterable[tuple[int, ...]]]:
@@ -168,6 +179,9 @@ class CanopenNode(ServoDrive):
             (0x1005, 0): Entry(SYNC, writable=True),
             (0x1008, 0): Entry(name, 0),
             (0x1009, 0): Entry(b"sim", 0),
+            (0x100A, 0): Entry(b"1.2.3 of the simulation", 0),
+            (0x1010, 0): Entry(1, 1),
+            (0x1010, 1): Entry(writable=True, read=lambda: STORES_WHEN_TOLD, write=self._store),
             (0x1014, 0): Entry(EMERGENCY + self.node),
             (0x1016, 0): Entry(1, 1),
             (0x1016, 1): Entry(0, writable=True, write=self._monitor),
@@ -184,7 +198,21 @@ class CanopenNode(ServoDrive):
         ):
             for number, pdo in enumerate(pdos):
                 self._add_pdo(pdo, at + number, mapped_at + number)
-        self._beat_every(0)
+        for key, value in self.flash.items():
+            self.objects[key].value = value
+        self._beat_every(self.number(0x1017))
+
+    def _store(self, value: int) -> int:
+        if value != SAVE:
+            return NOT_STORED
+        if self.in_use:
+            return NOT_IN_THIS_STATE
+        self.flash = {key: self.number(*key) for key in ((0x1017, 0), *self.stored())}
+        return 0
+
+    def stored(self) -> Iterable[tuple[int, int]]:
+        """Objects of its profile that it stores."""
+        return ()
 
     def _pdo(self, identifier: int, objects: tuple[int, ...]) -> _Pdo:
         mapped = [*objects, *[0] * (MAPPED_AT_MOST - len(objects))]

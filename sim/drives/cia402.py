@@ -176,6 +176,17 @@ class Cia402Drive(CanopenNode):
             (0x6065, 0): Entry(round(FOLLOWING_TURNS * self.counts), writable=True),
             (0x606C, 0): Entry(size=4, signed=True, mappable=True, read=lambda: round(self.shaft.speed * self.counts)),
             (0x6076, 0): Entry(round(self.rated_nm * 1e3), writable=True),
+            (0x6079, 0): Entry(read=lambda: round(self.supply_v * 1e3)),
+            (0x607D, 0): Entry(2, 1),
+            (0x607D, 1): Entry(-(1 << 31), signed=True, writable=True),
+            (0x607D, 2): Entry((1 << 31) - 1, signed=True, writable=True),
+            (0x6080, 0): Entry(round(self.top * 60.0), writable=True),
+            (0x6091, 0): Entry(2, 1),
+            (0x6091, 1): Entry(1, writable=True),
+            (0x6091, 2): Entry(1, writable=True),
+            (0x6092, 0): Entry(2, 1),
+            (0x6092, 1): Entry(self.counts, writable=True),
+            (0x6092, 2): Entry(1, writable=True),
             (0x6077, 0): Entry(size=2, signed=True, mappable=True, read=self._torque),
             (0x607A, 0): Entry(0, 4, signed=True, writable=True, mappable=True, write=self._aim),
             (0x6081, 0): Entry(speed, writable=True, mappable=True),
@@ -188,6 +199,15 @@ class Cia402Drive(CanopenNode):
             (0x60F4, 0): Entry(size=4, signed=True, mappable=True, read=self._error),
             (0x6502, 0): Entry(MODES),
         }
+
+    @property
+    def in_use(self) -> bool:
+        """Whether it holds its shaft."""
+        return self.enabled
+
+    def stored(self) -> Iterable[tuple[int, int]]:
+        """Those that its owner sets."""
+        return ((0x6007, 0), (0x605A, 0), (0x6065, 0), (0x607D, 1), (0x607D, 2), (0x6080, 0))
 
     def default_pdos(self) -> tuple[Iterable[tuple[int, ...]], Iterable[tuple[int, ...]]]:
         """Controlword and statusword, alone and with modes, targets and values: CiA 402's first three, and none."""

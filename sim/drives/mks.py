@@ -20,6 +20,7 @@ Modelled:
 - Stall (3E): [inf] 1.8 degrees of error for a second; told until 3D, whether or not the protection (88) is on (V1.0.9).
   With it the shaft is let go until 3D and F3.
 - Settings of one or several bytes, in flash at once; `00` reads them, and answers FF FF for what it does not know.
+- Version (40, V1.0.9): calibrated and board in a byte, then the firmware's version, [inf] in three bytes.
 - Power: [inf] it boots with a loose shaft, counting from 0 where that stands.
 - 80 [inf] takes two seconds and turns nothing. 41 [inf] reboots at once.
 
@@ -56,6 +57,9 @@ SWITCH_BEFORE_STOP = GRAINS_PER_REVOLUTION // 50
 """How far before a joint's mechanical stop the switch of its drive closes [inf] [grains]."""
 SWITCH_TRAVEL = GRAINS_PER_REVOLUTION // 200
 """How far a switch has to be left until it opens [inf] [grains]."""
+
+VERSION = bytes((0x12, 1, 0, 9))
+"""Calibrated, S42D_CAN, firmware 1.0.9."""
 
 FAILED, DONE, COMPLETE, LIMITED = 0, 1, 2, 3
 """Results: refused, taken (or begun), ended, stopped by a limit."""
@@ -131,6 +135,7 @@ class MksDrive(BusDrive):
             0x3B: lambda: bytes((0 if self._run else self._home_result,)),
             0x3D: self._clear_protection,
             0x3E: lambda: bytes((self.stalled,)),
+            0x40: lambda: VERSION,
             0x41: self._restart,
             0x92: self._set_zero,
             0xF1: lambda: bytes((self.state,)),

@@ -6,9 +6,12 @@ of them says and is assumed here: a host should not depend on it.
 
 Modelled:
 - Identifiers: extended, type << 24 | data16 << 8 | for whom. Get id (0), set-point with gains (1), feedback (2), enable
-  (3), stop and clear (4), set zero (6), set id (7), read (17) and write (18) a parameter, fault (21). [inf] Frames that
-  are not of 8 bytes change nothing and meet silence, and so do parameters that it does not know; a fault is said once,
-  to the host that spoke last, with the motor in bits 8 to 15 as in feedback.
+  (3), stop and clear (4), set zero (6), set id (7), read (17) and write (18) a parameter, fault (21), save (22). [inf]
+  Frames that are not of 8 bytes change nothing and meet silence; a fault is said once, to the host that spoke last,
+  with the motor in bits 8 to 15 as in feedback. A parameter that it does not know RobStrides answer with a 1 in bits 16
+  to 23; [inf] CyberGears are silent.
+- Type 22 lets RobStrides store their parameters (01 to 08 in its bytes), and sets the bit rate of CyberGears (byte 0,
+  from the next power on), which is only noted here.
 - States: reset and run. A motor with a fault does not run. [inf] Its run mode is changed while it is stopped only. What
   it was told last stays when it is stopped, so that enabling it again would act on that; power makes it forget.
 - Run modes: 0 set-points with gains, 1 its own position loop within a speed limit (CyberGear) or a trapezoid with a
@@ -19,7 +22,7 @@ Modelled:
   turn, 0 to 2π or -π to π as zero_sta (7029) says, which is read only here. Zero is set where it stands; [inf] what it
   was told stays, and then means the new count.
 
-Not modelled: calibration, bit rates, timeouts, filters, saving of parameters, reports by itself.
+Not modelled: calibration, bit rates, timeouts, filters, the question for its version (type 4), reports by itself.
 """
 
 from __future__ import annotations
@@ -37,11 +40,28 @@ from sim.drives.drive import Cause, Mounting
 from sim.drives.servo import TURN_RAD, Cascade, Law, Limp, Load, Plan, Torque
 
 TYPE_BIT, MODE_BIT, FAULT_BIT = 24, 22, 16
-GET_ID, CONTROL, FEEDBACK, ENABLE, STOP, SET_ZERO, SET_ID, READ, WRITE, FAULT = 0, 1, 2, 3, 4, 6, 7, 17, 18, 21
+GET_ID, CONTROL, FEEDBACK, ENABLE, STOP, SET_ZERO, SET_ID, READ, WRITE, FAULT, SAVE = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    6,
+    7,
+    17,
+    18,
+    21,
+    22,
+)
 RESET, RUN = 0, 2
 ANYBODY = 0xFE
 """For whom a motor says its id."""
-RUN_MODE, ZERO_STA = 0x7005, 0x7029
+RUN_MODE, LIMIT_TORQUE, CAN_TIMEOUT, ZERO_STA, ADD_OFFSET = 0x7005, 0x700B, 0x7028, 0x7029, 0x702B
+STORED = (LIMIT_TORQUE, 0x7017, 0x7018, 0x701E, 0x7024, 0x7025)
+"""Parameters that have a place in its flash (manuals of RobStrides, 3.3.3: 2007, 2018, 2019, 2016, 201F, 2020)."""
+SAVE_DATA = b"\x01\x02\x03\x04\x05\x06\x07\x08"
+NOT_READ = 1
+"""In bits 16 to 23 of the answer to a question for a parameter."""
 UNDER_VOLTAGE, OVER_CURRENT, OVER_TEMPERATURE, STALL = 1, 2, 4, 16
 """Bits of its faults in feedback."""
 FAULT_WORDS = {STALL: 0x0100, OVER_TEMPERATURE: 0x0001, OVER_CURRENT: 0x10000}
@@ -81,6 +101,7 @@ class Settings:
         robstride: whether its run modes and its counting are those of RobStrides.
         absolute: whether its encoder knows its angle when power comes.
         zero_sta: 0 for a count of 0 to 2π when power comes, 1 for one of -π to π, of RobStrides with such an encoder.
+        can_timeout: silence after which it stops (50 µs), of RobStrides; 0 for never.
         position_rad, velocity_rad_s, torque_nm, kp, kd: what the fields of its frames reach.
         velocity_gain: of its velocity loop [N·m/(rev/s)].
     """
@@ -89,6 +110,7 @@ class Settings:
     robstride: bool = False
     absolute: bool = False
     zero_sta: Literal[0, 1] = 0
+    can_timeout: int = 0
     position_rad: float = 4 * math.pi
     velocity_rad_s: float = 30.0
     torque_nm: float = 12.0
@@ -109,6 +131,7 @@ class RobstrideDrive(ServoDrive):
         parameters: as type 17 reads them, what is measured apart.
         state: reset or run.
         faults: bits of its feedback.
+        bitrate_code: what type 22 has set the bit rate of a CyberGear to; None where it has not.
     """
 
     def __init__(
@@ -125,6 +148,8 @@ class RobstrideDrive(ServoDrive):
         self.settings = settings or Settings()
         self._strongest_nm = self.shaft.load.torque_nm
         self._host_id = 0xFD
+        self._flash: dict[int, float] = {}
+        self.bitrate_code: int | None = None
         self._does: dict[int, Callable[[int, bytes], None]] = {
             GET_ID: lambda data16, data: self._tell_id(),
             CONTROL: self._control,
@@ -134,6 +159,7 @@ class RobstrideDrive(ServoDrive):
             SET_ID: self._set_id,
             READ: self._read,
             WRITE: self._write,
+            SAVE: self._save,
         }
         self._begin()
 
@@ -191,7 +217,7 @@ class RobstrideDrive(ServoDrive):
             self._run()
 
     def _begin(self) -> None:
-        self.parameters = usual_parameters()
+        self.parameters = usual_parameters() | self._flash
         self.faults = 0
         self._set_point = Torque()
         self._limit_torque()
@@ -287,12 +313,24 @@ class RobstrideDrive(ServoDrive):
 
     def _read(self, data16: int, data: bytes) -> None:
         index = int.from_bytes(data[:2], "little")
-        settings = {ZERO_STA: float(self.settings.zero_sta)} if self.settings.robstride else {}
-        measured = {0x7019: self.counted * TURN_RAD, 0x701B: self.shaft.speed * TURN_RAD, 0x701C: self.supply_v}
-        value = {**self.parameters, **settings, **measured}.get(index)
-        if value is not None:
-            packed = struct.pack("<Bxxx", int(value)) if index in (RUN_MODE, ZERO_STA) else struct.pack("<f", value)
-            self.reply(self._frame(READ, struct.pack("<Hxx", index) + packed))
+        settings = self.settings
+        measured = {
+            0x7019: self.counted * TURN_RAD,
+            0x701B: self.shaft.speed * TURN_RAD,
+            0x701C: self.supply_v,
+            LIMIT_TORQUE: min(self.parameters[LIMIT_TORQUE], settings.torque_nm),
+        }
+        whole = {RUN_MODE: int(self.parameters[RUN_MODE])}
+        if settings.robstride:
+            whole |= {ZERO_STA: settings.zero_sta, CAN_TIMEOUT: settings.can_timeout}
+            measured[ADD_OFFSET] = 0.0
+        head = struct.pack("<Hxx", index)
+        if index in whole:
+            self.reply(self._frame(READ, head + struct.pack("<I", whole[index])))
+        elif index in measured or index in self.parameters:
+            self.reply(self._frame(READ, head + struct.pack("<f", {**self.parameters, **measured}[index])))
+        elif settings.robstride:
+            self.reply(self._frame(READ, head + bytes(4), NOT_READ))
 
     def _write(self, data16: int, data: bytes) -> None:
         index = int.from_bytes(data[:2], "little")
@@ -305,6 +343,13 @@ class RobstrideDrive(ServoDrive):
                 self.parameters[index] = value
                 self._limit_torque()
                 self._lead()
+        self.reply(self._feedback())
+
+    def _save(self, data16: int, data: bytes) -> None:
+        if not self.settings.robstride:
+            self.bitrate_code = data[0]
+        elif data == SAVE_DATA:
+            self._flash = {index: self.parameters[index] for index in STORED}
         self.reply(self._feedback())
 
     # -- its shaft -----------------------------------------------------------------------------------

@@ -6,11 +6,14 @@ differs from a default is reported, but a setting that is not named is never wri
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-Value = int | str | bool | None
+Value = int | float | str | bool | None
+ALIKE = 1e-4
+"""Relative difference below which two fractions are the same one, rounded."""
 
 
 class Verdict(StrEnum):
@@ -32,6 +35,8 @@ class Setting:
     verdict: Verdict
     writable: bool
     """Whether `rtarm drives --write` may write it; id, bit rate and checksum are changed in the drive's menu only."""
+    kept: bool = False
+    """Whether the drive keeps it without power however it is written, so that it is written with `--store` alone."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class DriveReport:
     address: int
     answers: bool
     firmware: str | None
-    hardware: int | None
+    hardware: int | str | None
     supply_v: float | None
     homing: dict[str, Any] | None
     trip: dict[str, Any] | None
@@ -71,12 +76,18 @@ def as_json(report: DriveReport) -> dict[str, Any]:
     return {**asdict(report), "agrees": report.agrees, "to_write": [setting.name for setting in report.to_write]}
 
 
-def compared(name: str, wanted: Value, found: Value, *, writable: bool = False) -> Setting:
+def compared(name: str, wanted: Value, found: Value, *, writable: bool = False, kept: bool = False) -> Setting:
     """Compare a wanted value (None: not named in the arm file) with a drive's value (None: not reported)."""
     if found is None:
         verdict = Verdict.NOT_NAMED if wanted is None else Verdict.UNKNOWN
     elif wanted is None:
         verdict = Verdict.NOT_NAMED
     else:
-        verdict = Verdict.SAME if wanted == found else Verdict.DIFFERS
-    return Setting(name, wanted, found, verdict, writable)
+        verdict = Verdict.SAME if _alike(wanted, found) else Verdict.DIFFERS
+    return Setting(name, wanted, found, verdict, writable, kept)
+
+
+def _alike(wanted: Value, found: Value) -> bool:
+    if isinstance(wanted, float) and isinstance(found, float):
+        return math.isclose(wanted, found, rel_tol=ALIKE)
+    return wanted == found

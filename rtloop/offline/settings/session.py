@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from config.schema import ArmConfig
 from rtloop.offline.one_drive import OneDrive
-from rtloop.offline.settings.compare import DriveReport
+from rtloop.offline.settings.compare import DriveReport, Setting
 from rtloop.offline.settings.talk import Reading, ReadSettings, reports_of, settings_of
 from rtloop.service.conversation import Conversation
 from rtloop.service.port import ServicePort
@@ -76,17 +76,18 @@ class Session:
             )
         written = Written([], None)
         for joint, report in self.reports.items():
-            if not report.to_write:
+            if not _due(report, store):
                 continue
             if ends():
-                left = [r.joint for r in self.reports.values() if r.to_write and r.joint not in written.joints]
+                left = [r.joint for r in self.reports.values() if _due(r, store) and r.joint not in written.joints]
                 written.failure = f"Ended as asked: nothing was written to the drives of {', '.join(left)}."
                 break
             problem = self._write_one(joint, report, store)
             if problem is not None:
+                drive = self._arm.joints[joint].drive
                 written.failure = (
-                    f"The drive of {report.joint} (address {report.address}) {problem}; the drives after it were not "
-                    "written to. See what it has with `rtarm drives`, and check its cable and its supply."
+                    f"The drive of {report.joint} ({drive.number_field} {drive.number}) {problem}; the drives after it "
+                    "were not written to. See what it has with `rtarm drives`, and check its cable and its supply."
                 )
                 break
             written.joints.append(report.joint)
@@ -101,7 +102,7 @@ class Session:
             self._port,
             now_ns=self._clock_ns(),
             joint=joint,
-            dialogue=lambda _: file.write(self._arm, joint, reading, report.to_write, store),
+            dialogue=lambda _: file.write(self._arm, joint, reading, _due(report, store), store),
         )
         self._hold(talk)
         if talk.problem is not None:
@@ -123,3 +124,8 @@ class Session:
             self._pause()
         if talk.failure is not None:
             raise talk.failure
+
+
+def _due(report: DriveReport, store: bool) -> list[Setting]:
+    """The settings of a drive that an order writes."""
+    return [setting for setting in report.to_write if store or not setting.kept]

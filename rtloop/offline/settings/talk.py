@@ -1,7 +1,7 @@
 """Reading the settings of all drives: a conversation while the cycle stays offline.
 
 No drive is brought up or enabled, and no motion frame is sent. The requests are in the file of each family in this
-folder; drives of a family without such a file are left alone.
+folder, in most of them as a `table.Table`; drives of a family without such a file (mock) are left alone.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class SettingsFile(Protocol):
         """Read a drive's settings into `found`; a drive that does not answer is not asked further."""
 
     def report_of(self, arm: ArmConfig, joint: int, found: Any, shared: int | None = None) -> DriveReport:
-        """Compare a drive with the arm file; `shared` is a joint whose address has more drives than one."""
+        """Compare a drive with the arm file; `shared` is a joint of its family whose address has several drives."""
 
     def write(self, arm: ArmConfig, joint: int, found: Any, settings: list[Setting], store: bool) -> Part[str | None]:
         """Write settings, each once, and read them back; why they are not known to be in effect, None if they are.
@@ -88,8 +88,12 @@ class ReadSettings(Conversation):
 
 def reports_of(arm: ArmConfig, found: Mapping[int, Reading]) -> dict[int, DriveReport]:
     """Compare each drive with the arm file, by joint."""
-    shared = next((joint for joint, reading in found.items() if reading.shared_address), None)
+    drives = [config.drive for config in arm.joints]
+    shared: dict[str, int] = {}
+    for joint, reading in found.items():
+        if reading.shared_address:
+            shared.setdefault(drives[joint].family, joint)
     return {
-        joint: settings_of(arm.joints[joint].drive).report_of(arm, joint, reading, shared)
+        joint: settings_of(drives[joint]).report_of(arm, joint, reading, shared.get(drives[joint].family))
         for joint, reading in found.items()
     }

@@ -8,7 +8,7 @@ from bring_up_rig import failure_of, farthest, tell, way
 from virtual import VirtualArm
 
 from config.loader import load_arm
-from rtloop.drives.mks_setup import _told
+from rtloop.drives.mks_setup import write_setting
 from rtloop.memory import status
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.port import Frame as PortFrame
@@ -104,7 +104,7 @@ def test_firmware_that_cannot_be_asked_is_told():
 
 def test_an_echo_of_a_setting_is_not_its_answer():
     """82 05 88 is as long as what answers it, 82 01 84."""
-    question = next(_told(load_arm("mks6").joints[0], 0x82, 0x05))
+    question = next(write_setting(load_arm("mks6").joints[0], 0x82, 0x05))
     assert question.receive(PortFrame(1, bytes.fromhex("820588"), kind=STANDARD), False) is None
     assert question.receive(PortFrame(1, bytes.fromhex("820184"), kind=STANDARD), False) is not None
 
