@@ -20,7 +20,6 @@ from config.loader import load_arm
 from config.schema import ArmConfig
 from rtarm.calibrate.run import chosen_joints
 from rtarm.drives.settings import render
-from rtarm.drives.zdt_joints import other_drives, zdt_joints
 from rtarm.recording.mcap_format import Reason
 from rtarm.recording.story import tell
 from rtarm.running.status import of_cycle
@@ -52,29 +51,19 @@ def resting() -> VirtualArm:
     return arm
 
 
-def test_drives_of_others_are_named_by_their_families() -> None:
-    arm = mixed()
-    assert zdt_joints(arm) == [0, 2, 4]
-    assert other_drives(arm, range(6)) == "joint2, joint4 and joint6 (an ODrive axis)"
-    assert other_drives(arm, [1]) == "joint2 (an ODrive axis)" and other_drives(arm, [0, 2]) == ""
-
-
-def test_an_arm_without_zdt_drives_is_refused_in_a_sentence(rtarm: Rtarm) -> None:
-    result = rtarm("drives", "odrive6")
-    assert result.exit_code == 1
-    assert "ZDT drive" in result.output and "joint5 and joint6 (an ODrive axis)" in result.output
-
-
-def test_settings_of_a_mixed_arm_are_those_of_its_zdt_drives() -> None:
+def test_settings_of_a_mixed_arm_are_a_table_for_each_family() -> None:
     arm = resting()
     session = Session(arm.arm, arm.port, lambda: arm.now_ns, arm.cycle)
     session.read()
-    assert sorted(session.reports) == [0, 2, 4]
     assert all(report.answers and report.agrees for report in session.reports.values())
     text = shown(render(arm.arm, {"drives": [as_json(report) for report in session.reports.values()]}))
-    assert "mixed: 3 drives" in text
-    assert "What is set in the drives of joint2, joint4 and joint6 (an ODrive axis) is neither read nor" in text
-    assert "Every drive that was read is as the arm file wants it" in text
+    assert "mixed: 6 drives" in text
+    headings = [re.findall(r"joint\d", line) for line in text.splitlines() if line.lstrip().startswith("joint")]
+    assert headings == [["joint1", "joint3", "joint5"], ["joint2", "joint4", "joint6"]]
+    assert text.count("The settings of an ODrive can be read over CAN only with") == 1
+    assert "- ? stands for what a drive does not report." in text  # hardware of firmware 0.5
+    assert text.count("axis_state") == 1 and text.count("current mA") == 1
+    assert "Every drive is as the arm file wants it" in text
     arm.close()
 
 

@@ -96,9 +96,10 @@ def read_alarm(whose: Whose) -> Part[Value]:
 
 
 def state(whose: Whose) -> Part[State | None]:
-    """Its feedback, and its supply."""
+    """Its ID, which answers questions alone, then its feedback and its supply."""
     drive = _drive(whose)
-    answer = yield setup.asked_feedback(whose.config)
+    motor_id = yield from told(reads(protocol.ESC_ID)(whose))
+    answer = None if motor_id is None else (yield setup.asked_feedback(whose.config))
     if answer is None:
         return None
     found = setup.feedback_of(answer.data, drive.ranges)
@@ -110,6 +111,7 @@ def state(whose: Whose) -> Part[State | None]:
         turns=found.rad / (2.0 * math.pi),
         supply_v=supply if isinstance(supply, float) else None,
         holds=found.code == protocol.ENABLED,
+        known={"motor_id": motor_id},
     )
 
 
@@ -158,7 +160,7 @@ TABLE = Table(
     rows=(
         row("firmware", protocol.VERSION, "sw_ver"),
         row("sub_version", protocol.SUB_VERSION, "sub_ver"),
-        row("motor_id", protocol.ESC_ID, "ESC_ID", number),
+        Row("motor_id", f"{protocol.ESC_ID}, ESC_ID", wanted=number),
         row("master_id", protocol.MASTER_ID, "MST_ID", lambda whose: _drive(whose).master_id),
         Row("bitrate", f"{protocol.BIT_RATE}, can_br", read_bitrate, bitrate),
         Row("mode", f"{protocol.CONTROL_MODE}, CTRL_MODE", read_mode, lambda w: _drive(w).mode, write_mode),

@@ -4,6 +4,9 @@
 firmware before V1.0.6 does not know it. `40` tells calibration, hardware and firmware of V1.0.9; the manual has the
 firmware's version as three bytes, and a frame with room for two, so an answer of another length has no version here.
 What is set is kept without power, so it is written with `--store` alone.
+
+Requests and answers share an identifier, and the answer to `00 82` is the command that sets what it tells: two drives
+of one CanID would set each other, on and on. So what a drive is set to is asked for once a single one has answered.
 """
 
 from collections.abc import Callable

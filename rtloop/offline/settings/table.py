@@ -175,7 +175,7 @@ class Table:
         """See `talk.SettingsFile`."""
         whose = Whose(arm, joint)
         found.state = yield from told(self.state(whose))
-        if found.state is None:
+        if found.state is None or found.shared_address:  # of drives that share an address nothing more is asked
             return
         for row in self.rows:
             value = found.state.known.get(row.name)
@@ -184,7 +184,7 @@ class Table:
     def report_of(self, arm: ArmConfig, joint: int, found: Reading, shared: int | None = None) -> DriveReport:
         """See `talk.SettingsFile`; drives of other addresses are heard beside those that share one."""
         whose, state = Whose(arm, joint), found.state
-        settings = [] if state is None else [row.compared(whose, found.values.get(row.name)) for row in self.rows]
+        settings = [row.compared(whose, found.values[row.name]) for row in self.rows if found.values]
         firmware, hardware = found.values.get("firmware"), found.values.get("hardware")
         return DriveReport(
             joint=whose.config.name,
@@ -197,7 +197,7 @@ class Table:
             trip=None,
             settings=settings,
             left_alone=self._left_alone(whose, found, settings),
-            notes=[] if state is None else self.remarks(whose, found),
+            notes=self.remarks(whose, found) if found.values else [],
         )
 
     def write(

@@ -78,6 +78,26 @@ def test_a_session_from_reading_to_flash(simulated: Stack) -> None:
 
 
 @pytest.mark.process
+def test_a_session_with_drives_that_keep_whatever_they_are_told(arm_name: str, tmp_path: Path) -> None:
+    stack = Stack(arm_name, tmp_path, "myactuator6")
+    try:
+        stack.start_sim()
+        read = drives(stack)
+        assert read.returncode == 5 and "10000 → 201" in read.stdout and "X8S2V10" in read.stdout
+        assert "12 settings to be written: --write --store writes flash, where alone drives have them." in read.stdout
+        volatile = drives(stack, "--write")
+        assert volatile.returncode == 5 and "is written with --write --store alone" in volatile.stderr
+        assert "joint1 (address 1): acceleration_dps_s 10000 → 201, deceleration_dps_s 10000 → 201" in (
+            drives(stack, "--write", "--store", typed="n\n").stderr
+        )
+        stored = drives(stack, "--write", "--store", "--json", typed="y\n")
+        report = json.loads(stored.stdout)
+        assert (stored.returncode, report["agrees"], len(report["joints"])) == (0, True, 6)
+    finally:
+        stack.close()
+
+
+@pytest.mark.process
 def test_an_adapter_that_goes_away_between_reading_and_writing(simulated: Stack) -> None:
     with closing(Process("rtloop.offline.settings", str(simulated.arm_file))) as process:
         process.line_with("ready")

@@ -12,7 +12,8 @@ A file has
   - `packs`: one of the family's functions, its arguments (`of`, after a `row` with some settings) and the `bytes`;
   - `hears`: frames, one after the other (`each`: frames, each of them alone), and all that they tell (`tells`) or
     some of it (`has`): position, velocity, effort, temperature, voltage, status, error_code, refusals, drive_errors;
-- `ignored`: frames of which none tells anything of the first joint.
+- `ignored`: frames of which none tells anything of the first joint;
+- `settings`: what `rtarm drives` asks, see `test_settings_bytes.py`.
 """
 
 import math
@@ -66,7 +67,7 @@ def put(rig: Rig, at: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("family", families())
 def test_files_have_only_what_is_tried(family: str) -> None:
-    assert set(golden(family)) <= {"sources", "joints", "within", "vectors", "ignored"}
+    assert set(golden(family)) <= {"sources", "joints", "within", "vectors", "ignored", "settings"}
     for vector in golden(family)["vectors"]:
         (kind,) = KINDS.keys() & vector
         assert set(vector) <= {kind, "from", "what", "joint"} | KINDS[kind], vector
