@@ -22,6 +22,7 @@ from config.schema import ArmConfig
 from rtarm.console.errors import ExitCode, Refusal
 from rtarm.console.interrupt import undisturbed
 from rtarm.processes import describe_end, plain_environment, shared_death
+from rtloop.offline import families
 
 PATIENCE_S = 10.0
 HEADINGS = {
@@ -41,6 +42,8 @@ NOTHING_TO_STORE = (
 )
 
 KEPT = "What a drive keeps without power however it is written is written with --write --store alone."
+
+UNREAD = "rtarm has no table of them; see them in the maker's tool."
 
 Report = dict[str, Any]
 
@@ -183,6 +186,8 @@ def run(
     """
     if arm.bus.interface == "mock":
         raise Refusal(f"Arm {arm.name} has mock drives and no bus, so there are no settings to read.")
+    if not any(families.knows("settings", joint.drive) for joint in arm.joints):
+        raise Refusal(f"Arm {arm.name} has no drive whose settings can be read: {UNREAD}")
     with offline_process("rtloop.offline.settings", argument, overrides) as process:
         report = process.answer("ready")
         if write and not store and plan(report) != plan(report, store=False):
@@ -205,17 +210,25 @@ def run(
         return report
 
 
+def unread(arm: ArmConfig) -> list[str]:
+    """Names of the joints on the bus whose family of drives has no table of settings."""
+    joints = [joint for joint in arm.joints if joint.drive.identifiers]
+    return [joint.name for joint in joints if not families.knows("settings", joint.drive)]
+
+
 def render(arm: ArmConfig, report: Report) -> RenderableType:
     """Drives side by side, then every sentence."""
     drives = report["drives"]
     parts: list[RenderableType] = [
         Text(f"{arm.name}: {len(drives)} drives, {arm.bus.interface} on {arm.bus.resolved_channel}", style="bold")
     ]
-    families = {joint.name: joint.drive.family for joint in arm.joints}
-    for family in dict.fromkeys(families[drive["joint"]] for drive in drives):
-        parts.append(_table([drive for drive in drives if families[drive["joint"]] == family]))
+    family_of = {joint.name: joint.drive.family for joint in arm.joints}
+    for family in dict.fromkeys(family_of[drive["joint"]] for drive in drives):
+        parts.append(_table([drive for drive in drives if family_of[drive["joint"]] == family]))
     sentences = dict.fromkeys(sentence for drive in drives for sentence in (*drive["left_alone"], *drive["notes"]))
     parts += [Text(f"- {sentence}") for sentence in sentences]
+    if names := unread(arm):
+        parts.append(Text(f"- The settings of {', '.join(names)} are neither read nor written: {UNREAD}"))
     if any(setting["found"] is None for drive in drives for setting in drive["settings"]):
         parts.append(Text("- ? stands for what a drive does not report."))
     parts.append(Text(summary(report), style="bold"))

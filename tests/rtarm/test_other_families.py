@@ -24,6 +24,7 @@ from rtarm.recording.mcap_format import Reason
 from rtarm.recording.story import tell
 from rtarm.running.status import of_cycle
 from rtloop.drives.power import Marks
+from rtloop.offline import families
 from rtloop.offline.calibration.session import Session as Calibration
 from rtloop.offline.settings.compare import as_json
 from rtloop.offline.settings.session import Session
@@ -65,6 +66,23 @@ def test_settings_of_a_mixed_arm_are_a_table_for_each_family() -> None:
     assert text.count("axis_state") == 1 and text.count("current mA") == 1
     assert "Every drive is as the arm file wants it" in text
     arm.close()
+
+
+def test_drives_of_a_family_without_a_table_are_said_to_be_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = resting()
+    monkeypatch.setattr(families, "knows", lambda folder, drive: drive.family == "zdt")
+    session = Session(arm.arm, arm.port, lambda: arm.now_ns, arm.cycle)
+    session.read()
+    text = shown(render(arm.arm, {"drives": [as_json(report) for report in session.reports.values()]}))
+    assert "mixed: 3 drives" in text
+    assert "- The settings of joint2, joint4, joint6 are neither read nor written: rtarm has no table of them" in text
+    arm.close()
+
+
+def test_an_arm_without_a_family_that_has_a_table_is_refused(rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(families, "knows", lambda folder, drive: False)
+    result = rtarm("drives", "odrive6")
+    assert result.exit_code == 1 and "odrive6 has no drive whose settings can be read" in result.output
 
 
 def test_dialogues_of_a_calibration_are_with_the_families_that_have_them() -> None:
