@@ -180,6 +180,20 @@ def test_the_node_goes_where_it_is_ordered_and_says_so() -> None:
     assert got(bench, 0x1017) == 0
 
 
+def test_what_was_stored_is_there_after_a_reset() -> None:
+    bench = drive()
+    save = "601# 23 10 10 01 73 61 76 65"
+    assert got(bench, 0x1010, 1) == 1
+    put(bench, 0x1017, 100, 2)
+    assert bench.ask("601# 23 10 10 01 73 61 76 66")[-1] == "581# 80 10 10 01 20 00 00 08", "another word"
+    assert bench.ask(save) == ["581# 60 10 10 01 00 00 00 00"]
+    put(bench, 0x6080, 3000, 4)
+    bench.tell(RESET).after(1000)
+    assert (got(bench, 0x1017), got(bench, 0x6080)) == (100, 600)
+    control(bench, 0x06, 0x07, 0x0F)
+    assert bench.ask(save) == ["581# 80 10 10 01 22 00 00 08"], "not while it holds"
+
+
 @pytest.mark.parametrize(
     ("code", "power"), [(0, OPERATION_ENABLED), (1, FAULT), (2, SWITCH_ON_DISABLED), (3, QUICK_STOP)]
 )

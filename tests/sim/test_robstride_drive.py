@@ -75,6 +75,25 @@ def test_a_set_point_of_the_facts():
     )  # friction over stiffness, and the position's step
 
 
+def test_what_a_robstride_lacks_it_says_in_its_identifier_and_a_cybergear_is_silent():
+    """Bits 16 to 23 of the answer are 01 where the reading failed (RS00 manual of 2026-04-28, 4.1.6)."""
+    question = "1100AA01# 99 70 00 00 00 00 00 00"
+    assert motor(robstride=True).ask(question) == ["110101AA# 99 70 00 00 00 00 00 00"]
+    assert motor().ask(question) == []
+
+
+def test_type_22_stores_in_a_robstride_and_sets_the_bit_rate_of_a_cybergear():
+    """01 to 08 (RS00 manual, 4.1.9); 01 is 1 Mbit/s to a CyberGear (facts)."""
+    save = "1600AA01# 01 02 03 04 05 06 07 08"
+    robstride = motor(robstride=True).tell(write(0x701E, 50.0), write(0x700A, 1.0)).tell(save).restart()
+    assert (robstride.drive.parameters[0x701E], robstride.drive.parameters[0x700A]) == (50.0, 0.0)
+    assert robstride.drive.bitrate_code is None
+    halfway = motor(robstride=True).tell(write(0x701E, 50.0), "1600AA01# 01 02 03 04 05 06 07 00").restart()
+    assert halfway.drive.parameters[0x701E] == 30.0
+    cybergear = motor().tell(write(0x701E, 50.0), save)
+    assert cybergear.drive.bitrate_code == 1 and cybergear.restart().drive.parameters[0x701E] == 30.0
+
+
 def test_its_id_is_told_to_anybody():
     assert motor().ask("0000AA01# 00 00 00 00 00 00 00 00")[0].startswith("000001FE# ")
     assert motor().ask("0707AA01# 01 00 00 00 00 00 00 00")[0].startswith("000007FE# ")
