@@ -13,6 +13,8 @@ from pages import DOCS, ROOT, Block, sections
 
 PAGE = DOCS / "hardware" / "add-a-drive.md"
 NEMO = ROOT / "examples" / "nemo"
+TITLES = ("An evening with Nemo", "A family in full")
+CHANGED = ("config/joint.py", "sim/drives/families.py", "tests/rtloop/drives/test_drive_conformance.py")
 PATIENCE_S = 600.0
 LEFT_BEHIND = shutil.ignore_patterns(".git", ".venv", "build", "dist", "__pycache__", ".*_cache", "*.egg-info")
 
@@ -24,18 +26,12 @@ def evening() -> list[Block]:
     return [block for part in parts[begin:end] for block in part.blocks]
 
 
-TITLES = ("An evening with Nemo", "A family in full")
-
-
 def changed(tree: Path, block: Block) -> None:
     """Make the change that a block shows: its lines with `-` stand once in the tree, at the begin of the file's."""
     before, after = ("\n".join(line[1:] for line in block.lines if line.startswith((mark, " "))) for mark in ("-", "+"))
     files = [tree / name for name in CHANGED]
     (found,) = [file for file in files if file.read_text(encoding="utf-8").count(before) == 1]
     found.write_text(found.read_text(encoding="utf-8").replace(before, after), encoding="utf-8")
-
-
-CHANGED = ("config/joint.py", "sim/drives/families.py", "tests/rtloop/drives/test_drive_conformance.py")
 
 
 def typed(tree: Path, line: str) -> None:
@@ -65,11 +61,9 @@ def test_what_the_page_shows_of_the_files_stands_in_them() -> None:
 def test_the_evening_ends_with_an_arm_that_moves(tmp_path: Path) -> None:
     tree = tmp_path / "rtarm"
     shutil.copytree(ROOT, tree, ignore=LEFT_BEHIND)
-    blocks = evening()
-    for block in blocks:
+    for block in evening():
         if block.info == "diff":
             changed(tree, block)
-    for block in blocks:
         if block.info == "bash":
             for line in block.lines:
                 typed(tree, line)
