@@ -130,7 +130,7 @@ def decode(packet: int, length: int, data: int) -> tuple[int, int]:
     elif length == 3 and words.whole(data, registers.CODE_END) == registers.CHECKSUM:
         if function == READ_STATUS & 255:
             return STATUS, words.meaning(code, registers.STATUS_MEANINGS)
-        if code in (registers.REFUSED, registers.NOT_UNDERSTOOD):
+        if code in registers.REFUSALS:
             return REFUSED, function
         if function == READ_CAUSE & 255:
             return CAUSE, words.meaning(code, registers.CAUSE_MEANINGS)

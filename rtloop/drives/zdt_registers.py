@@ -54,7 +54,8 @@ FUNCTION = Number(0, 1)
 
 # of an acknowledgement or refusal, and of the answers to 3A and 3B
 CODE, CODE_END = Number(1, 1), Number(2, 1)
-ACCEPTED, REFUSED, NOT_UNDERSTOOD = 0x02, 0xE2, 0xEE
+ACCEPTED, REFUSALS = 0x02, (0xE2, 0xEE)
+"""Codes; the second refusal is that it was not understood."""
 
 # of the answer to 36
 COUNTS_SIGN, COUNTS, COUNTS_END = Number(1, 1), Number(2, 4, big_endian=True), Number(6, 1)

@@ -34,9 +34,6 @@ AGREEING = 2
 """Missing answers in a row that count as silence."""
 SETTLED_NS = 250_000_000
 """Time for which the motor must be at its goal before it is stopped; at 1 rpm it makes the last degree in that time."""
-REFUSED = (0xE2, 0xEE)
-STALLED = 0x04
-"""Flag of `3A`: the motor pushes against something that holds it."""
 
 
 class Drive:
@@ -136,7 +133,7 @@ class Drive:
         command, goal = self.move_to(start + by_counts, rpm, registers.GENTLEST_RAMP)
         sent_ns = self.now_ns()
         answer = yield Ask(command, (3,), answered=False)
-        if answer is not None and answer[1] in REFUSED:
+        if answer is not None and answer[1] in registers.REFUSALS:
             raise self.fails(
                 f"The drive of {self.config.name} refuses to move, and stands: look at its display for a fault."
             )
@@ -174,7 +171,7 @@ class Drive:
                     return "fell silent while it moved"
                 continue
             silent = 0
-            if now & (registers.PROTECTED | STALLED):
+            if now & (registers.PROTECTED | registers.STALLED):
                 return "was held up (it says that it stalls)"
             if not now & registers.ENABLED or now & registers.POWER_LOST & ~flags:
                 return "lost its power or was let go while it moved"

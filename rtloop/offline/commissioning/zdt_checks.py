@@ -11,7 +11,7 @@ from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, Ask
 from rtloop.drives.zdt_registers import Block, Version
 from rtloop.kept.commissioned import PowerProof
-from rtloop.offline.calibration.zdt import ARRIVED_COUNTS, AWAY_COUNTS, STALLED
+from rtloop.offline.calibration.zdt import ARRIVED_COUNTS, AWAY_COUNTS
 from rtloop.offline.commissioning.finding import (
     RAMP_RANGE,
     Finding,
@@ -224,7 +224,7 @@ def judge_stall(pressed: Pressed, block: Block) -> Finding:
     if pressed.moved > AWAY_COUNTS:
         came = f"the clamp gave way: the motor turned by {figures['moved_deg']:.0f}° and was stopped"
         return Finding("stall", asked, documented, came, Verdict.NOT_TRIED, figures)
-    stalled, tripped = bool(pressed.flags & STALLED), bool(pressed.flags & registers.PROTECTED)
+    stalled, tripped = bool(pressed.flags & registers.STALLED), bool(pressed.flags & registers.PROTECTED)
     came = f"flags {pressed.flags:02X} after {pressed.seconds:.1f} s" + (
         f", protection {'cleared' if pressed.cleared else 'not cleared: the joint is limp'}" if tripped else ""
     )

@@ -15,7 +15,6 @@ from rtloop.service.port import Frame
 
 Value = TypeVar("Value")
 
-REFUSALS = (0xE2, 0xEE)
 """Refusals: condition not met; not understood (zdt-emm-v5.md 2)."""
 MOST_MISUNDERSTANDINGS = 4 * TRIES
 """A single drive does not understand a request or two that its firmware lacks, each sent `TRIES` times."""
@@ -128,7 +127,7 @@ def write(block: Block | None, watchdog_ms: int | None, store: bool) -> Answered
 
 
 def _read_back(answer: bytes | None, read: Callable[[], Answered[Value | None]], wanted: Value) -> Answered[str | None]:
-    if answer is not None and answer[1] in REFUSALS:
+    if answer is not None and answer[1] in registers.REFUSALS:
         return "refuses to be written"
     after = None
     for _ in range(READ_BACK_TRIES):
