@@ -10,7 +10,7 @@ from rtloop.memory.state import Loop
 from rtloop.safety import setpoint_check
 from rtloop.safety.faults import path_is_trusted, stop_each_joint
 from rtloop.trajectory.clock import advance_clock, along
-from rtloop.trajectory.limits import clamped_rad, hardest_rad_s2
+from rtloop.trajectory.limits import clamped_rad, hardest_rad_s2, stopping_distance_rad
 from rtloop.trajectory.path import find_waypoint, sample
 from rtloop.trajectory.phases import runs
 from shm.layout import StateFile
@@ -120,7 +120,7 @@ def brake_each_joint(loop: Loop) -> None:
         commanded = axis.commanded
         v = commanded.difference_velocity_rad_s
         braking = loop.params.braking_factor * row.max_acceleration_rad_s2
-        stop = commanded.position_rad + setpoint_check.stopping_distance_rad(v, braking, period_s)
+        stop = commanded.position_rad + stopping_distance_rad(v, braking, period_s)
         if stop != clamped_rad(row, stop):
             braking = hardest_rad_s2(loop, joint)
         most = braking * period_s

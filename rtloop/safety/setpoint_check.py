@@ -11,12 +11,9 @@ from rtloop.memory.axis import Commanded
 from rtloop.memory.state import Loop
 from rtloop.memory.updates import owe_stop
 from rtloop.safety.faults import latch_fault, stop_each_joint
-from rtloop.trajectory.limits import band, first_broken, hardest_rad_s2, highest_rad_s
+from rtloop.trajectory.limits import BESIDE_RAD, band, first_broken, hardest_rad_s2, highest_rad_s, stop_rad
 from shm.layout import StateFile
 from shm.words import Fault
-
-BESIDE_RAD = 1e-9
-"""What the arithmetic of a stop may put a joint beyond its limit."""
 
 
 @jit
@@ -53,7 +50,7 @@ def check_next_setpoint(loop: Loop, shared: StateFile) -> bool:
         if broken == limits.POSITION:
             latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, p, low if p < low else high)
             return False
-        stop = p + stopping_distance_rad(velocity, max_acceleration, period_s)
+        stop = stop_rad(loop, joint, p, velocity)
         if (velocity > 0.0 and stop > high + BESIDE_RAD) or (velocity < 0.0 and stop < low - BESIDE_RAD):
             latch_fault(loop, shared, Fault.POSITION_LIMIT, joint, stop, low if velocity < 0.0 else high)
             return False
@@ -88,15 +85,3 @@ def may_be_sent(loop: Loop, shared: StateFile, joint: int, position: float, velo
     stop_each_joint(loop)
     owe_stop(axis)
     return False
-
-
-@jit
-def stopping_distance_rad(velocity_rad_s: float, braking_rad_s2: float, period_s: float) -> float:
-    """How far the setpoints of a joint still go (rad, signed) when each period takes as much velocity as can be.
-
-    `velocity_rad_s` is that between the last two of them. What such a step leaves of the way is just what this says
-    of the velocity that is left: a joint that can stop in time still can in the next cycle.
-    """
-    step = braking_rad_s2 * period_s
-    steps = math.floor(abs(velocity_rad_s) / step)
-    return math.copysign(steps * (abs(velocity_rad_s) - 0.5 * step * (steps + 1)) * period_s, velocity_rad_s)

@@ -13,14 +13,16 @@ from compilation.jit import jit
 from motion import segment
 from rtloop.memory.motion import BLEND_SAMPLES
 from rtloop.memory.state import Loop
-from rtloop.trajectory.limits import hardest_rad_s2, highest_rad_s
+from rtloop.trajectory.limits import hardest_rad_s2, highest_rad_s, keeps_room
 from rtloop.trajectory.path import (
     end_s,
     fade,
     find_waypoint,
     goes_on_past_end,
     in_goal,
+    plan,
     plan_coefficients,
+    runs_on,
     sample,
     slot,
 )
@@ -68,7 +70,7 @@ def look_from(loop: Loop, path_index: int, clock_s: float, step_s: float, first:
 
 @jit
 def next_keeps_limits(loop: Loop, path_index: int, clock_s: float, waypoint: int) -> bool:
-    """Whether the next setpoint, at a path time, keeps every joint's limits after the one looked at before."""
+    """Whether the next setpoint, at a path time, keeps velocity and acceleration after the one looked at before."""
     period_s = loop.params.period_ns * 1e-9
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
@@ -78,6 +80,21 @@ def next_keeps_limits(loop: Loop, path_index: int, clock_s: float, waypoint: int
         if not (abs(v) <= highest_rad_s(loop, joint) and abs(a) <= hardest_rad_s2(loop, joint)):
             return False  # or not a number
         axis.ahead.position_rad, axis.ahead.velocity_rad_s = p, v
+    return True
+
+
+@jit
+def leaves_room(loop: Loop, path_index: int, clock_s: float) -> bool:
+    """Whether every joint could be stopped inside its limits from the setpoint looked at last, at a path time.
+
+    Behind the end of a stream there is room: its last point was judged by the way on which the arm stops there.
+    """
+    if runs_on(loop, path_index) and clock_s > end_s(loop, path_index):
+        return True
+    for joint in range(loop.params.joint_count):
+        p, v = loop.axes[joint].ahead.position_rad, loop.axes[joint].ahead.velocity_rad_s
+        if not keeps_room(loop, joint, p, p, v, v):
+            return False
     return True
 
 
@@ -97,40 +114,45 @@ def span_end_s(loop: Loop, path_index: int, from_s: float, waypoint: int) -> flo
 def span_keeps_limits(loop: Loop, path_index: int, rate: float, from_s: float, until_s: float, waypoint: int) -> bool:
     """Whether no setpoint in the span can break a limit at a steady rate, wherever in the span it lies.
 
-    Velocity and acceleration of a polynomial of degree 5 are of degree 4 and 3, and lie between their Bézier points,
-    which follow from the derivatives at both ends of the span.
+    A polynomial of degree 5, its velocity and its acceleration lie between their Bézier points, which follow from the
+    derivatives at both ends of the span.
     """
     path = loop.paths[path_index]
     start_s = loop.waypoints[slot(path_index, waypoint)].time_ns * 1e-9
     if from_s < start_s:
         return False
-    runs_on = path.stream == 1 and path.ends_moving == 1
     if waypoint < path.taken - 1:
         if loop.waypoints[slot(path_index, waypoint + 1)].order == 1:
             return False  # the velocity jumps at the ends of a straight line
-    elif runs_on:
+    elif runs_on(loop, path_index):
         return False
     last = loop.waypoints[slot(path_index, path.taken - 1)]
-    stands = not runs_on and until_s >= last.time_ns * 1e-9
+    stands = not runs_on(loop, path_index) and until_s >= last.time_ns * 1e-9
     period_s = loop.params.period_ns * 1e-9
     h = until_s - from_s
     for joint in range(loop.params.joint_count):
-        v0, a0, j0, v1, a1, j1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        p0, v0, a0 = plan(loop, path_index, joint, from_s, waypoint)
+        p1, v1, a1 = p0, v0, a0
+        j0, j1 = 0.0, 0.0
         if waypoint < path.taken - 1 and in_goal(loop, path_index, joint):
             c0, c1, c2, c3, c4, c5 = plan_coefficients(loop, path_index, joint, waypoint)
-            _, v0, a0 = evaluate(c0, c1, c2, c3, c4, c5, from_s - start_s)
-            _, v1, a1 = evaluate(c0, c1, c2, c3, c4, c5, until_s - start_s)
+            p1, v1, a1 = evaluate(c0, c1, c2, c3, c4, c5, until_s - start_s)
             j0, j1 = jerk(c3, c4, c5, from_s - start_s), jerk(c3, c4, c5, until_s - start_s)
-        bv0, ba0, bj0 = blend_motion(loop, path_index, joint, from_s, from_s)
-        bv1, ba1, bj1 = blend_motion(loop, path_index, joint, until_s, from_s)
-        v0, a0, j0 = v0 + bv0, a0 + ba0, j0 + bj0
-        v1, a1, j1 = v1 + bv1, a1 + ba1, j1 + bj1
-        inner = max(abs(v0 + 0.25 * a0 * h), abs(v0 + (0.5 * a0 + j0 * h / 12.0) * h), abs(v1 - 0.25 * a1 * h))
-        fastest = rate * max(abs(v0), inner, abs(v1))
+        bp0, bv0, ba0, bj0 = blend_motion(loop, path_index, joint, from_s, from_s)
+        bp1, bv1, ba1, bj1 = blend_motion(loop, path_index, joint, until_s, from_s)
+        p0, v0, a0, j0 = p0 + bp0, v0 + bv0, a0 + ba0, j0 + bj0
+        p1, v1, a1, j1 = p1 + bp1, v1 + bv1, a1 + ba1, j1 + bj1
+        w1, w2, w3 = v0 + 0.25 * a0 * h, v0 + (0.5 * a0 + j0 * h / 12.0) * h, v1 - 0.25 * a1 * h
+        slowest, fastest = rate * min(v0, w1, w2, w3, v1), rate * max(v0, w1, w2, w3, v1)
         hardest = rate * rate * max(abs(a0), abs(a0 + j0 * h / 3.0), abs(a1 - j1 * h / 3.0), abs(a1))
         if stands and in_goal(loop, path_index, joint):
             hardest += rate * abs(last.joints[joint].velocity_rad_s) / period_s  # a residue, which ends at once
-        if not (fastest <= highest_rad_s(loop, joint) and hardest <= hardest_rad_s2(loop, joint)):
+        if not (max(-slowest, fastest) <= highest_rad_s(loop, joint) and hardest <= hardest_rad_s2(loop, joint)):
+            return False
+        q1, q2 = p0 + 0.2 * v0 * h, p0 + (0.4 * v0 + 0.05 * a0 * h) * h
+        q3, q4 = p1 - (0.4 * v1 - 0.05 * a1 * h) * h, p1 - 0.2 * v1 * h
+        lowest, highest = min(p0, q1, q2, q3, q4, p1), max(p0, q1, q2, q3, q4, p1)
+        if not keeps_room(loop, joint, lowest, highest, slowest, fastest):
             return False
     return True
 
@@ -142,19 +164,21 @@ def jerk(c3: float, c4: float, c5: float, t: float) -> float:
 
 
 @jit
-def blend_motion(loop: Loop, path_index: int, joint: int, clock_s: float, from_s: float) -> tuple[float, float, float]:
-    """First three derivatives of the blend at a path time, as they are in the span that begins at `from_s`."""
+def blend_motion(
+    loop: Loop, path_index: int, joint: int, clock_s: float, from_s: float
+) -> tuple[float, float, float, float]:
+    """The blend and its first three derivatives at a path time, as they are in the span that begins at `from_s`."""
     path = loop.paths[path_index]
     if from_s >= path.entry_s + path.blend_s:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, 0.0
     b = path.blends[joint]
     t = clock_s - path.entry_s
-    _, v, a = evaluate(b.c0, b.c1, b.c2, b.c3, b.c4, b.c5, t)
+    p, v, a = evaluate(b.c0, b.c1, b.c2, b.c3, b.c4, b.c5, t)
     j = jerk(b.c3, b.c4, b.c5, t)
     if from_s < path.entry_s + path.fade_s:
-        _, fv, fa = fade(b.faded, path.fade_s, t)
-        v, a, j = v + fv, a + fa, j - 2.0 * b.faded / path.fade_s * (1.0 - t / path.fade_s)
-    return v, a, j
+        fp, fv, fa = fade(b.faded, path.fade_s, t)
+        p, v, a, j = p + fp, v + fv, a + fa, j - 2.0 * b.faded / path.fade_s * (1.0 - t / path.fade_s)
+    return p, v, a, j
 
 
 @jit
@@ -191,6 +215,8 @@ def blend_keeps_limits(loop: Loop, path_index: int, rate: float) -> bool:
             clock_s = path.entry_s + (judged + 1) * step_s
             waypoint = find_waypoint(loop, path_index, clock_s, waypoint)
             if not next_keeps_limits(loop, path_index, clock_s, waypoint):
+                return False
+            if not leaves_room(loop, path_index, clock_s):
                 return False
             judged += 1
         # what comes before the last two setpoints judged is behind us

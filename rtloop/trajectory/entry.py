@@ -13,7 +13,7 @@ from rtloop.memory.motion import BLEND_SAMPLES
 from rtloop.memory.state import Loop
 from rtloop.trajectory.ahead import LOOKS_A_CYCLE, blend_keeps_limits, rest_keeps_limits
 from rtloop.trajectory.clock import IMPOSSIBLE, allowed_acceleration, set_rate
-from rtloop.trajectory.limits import at_rest, band
+from rtloop.trajectory.limits import BESIDE_RAD, at_rest, band
 from rtloop.trajectory.path import (
     end_s,
     fade,
@@ -23,6 +23,7 @@ from rtloop.trajectory.path import (
     in_goal,
     line_beyond,
     plan,
+    runs_on,
     sample,
     slot,
 )
@@ -38,7 +39,6 @@ ENTRY_RATES = (1.0, 0.5, 0.25)
 WAYS = 1 + len(BLENDS_S)
 """Tried with each rate: the approach segment, and the blends."""
 ON_ITS_WAY, NO_WAY, NOT_YET_KNOWN = 0, 1, 2
-BESIDE_RAD = 1e-9
 SLOWEST_ENTRY_IN_MOTION = 0.2
 SLOWEST_ENTRY = 0.02
 """A path is laid for at least such a rate, since a blend for next to none would last for ever."""
@@ -275,7 +275,7 @@ def blend_strain(loop: Loop, path_index: int, rate: float, from_s: float) -> flo
 def stop_reach_s(loop: Loop, path_index: int) -> float:
     """Path time beyond the end of a stream at which the arm stands if nothing newer comes; 0 for other goals."""
     path = loop.paths[path_index]
-    if path.stream == 0 or path.ends_moving == 0:
+    if not runs_on(loop, path_index):
         return 0.0
     last = loop.waypoints[slot(path_index, path.taken - 1)]
     period_s = loop.params.period_ns * 1e-9

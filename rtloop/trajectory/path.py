@@ -64,6 +64,13 @@ def goes_on_past_end(loop: Loop, path_index: int) -> bool:
 
 
 @jit
+def runs_on(loop: Loop, path_index: int) -> bool:
+    """Whether the plan runs on straight beyond its newest waypoint: a stream's does that ends in motion."""
+    path = loop.paths[path_index]
+    return path.stream == 1 and path.ends_moving == 1
+
+
+@jit
 def is_reached(loop: Loop, path_index: int, waypoint: int, clock_s: float) -> bool:
     """Whether a path has the waypoint already and the clock has come to it."""
     if waypoint >= loop.paths[path_index].taken:
@@ -101,8 +108,7 @@ def plan(loop: Loop, path_index: int, joint: int, clock_s: float, waypoint: int)
     a = start.joints[joint]
     start_s = start.time_ns * 1e-9
     if waypoint >= loop.paths[path_index].taken - 1 or clock_s < start_s:
-        runs_on = loop.paths[path_index].stream == 1 and loop.paths[path_index].ends_moving == 1
-        if runs_on and clock_s >= start_s:
+        if runs_on(loop, path_index) and clock_s >= start_s:
             return straight_on(loop, a, clock_s - start_s)
         return a.position_rad, 0.0, 0.0
     c0, c1, c2, c3, c4, c5 = plan_coefficients(loop, path_index, joint, waypoint)

@@ -45,12 +45,12 @@ LEAVES = (
     Leaf(
         "rtloop/trajectory/limits.py",
         ("tests/rtloop/safety/test_limits.py",),
-        ("clamped_rad", "highest_rad_s", "hardest_rad_s2"),
+        ("clamped_rad", "stopping_distance_rad", "highest_rad_s", "hardest_rad_s2"),
     ),
     Leaf(
         "rtloop/safety/setpoint_check.py",
         ("tests/rtloop/safety/test_limits.py",),
-        ("check_next_setpoint", "stopping_distance_rad"),
+        ("check_next_setpoint",),
     ),
     Leaf(
         "rtloop/safety/setpoint_check.py",

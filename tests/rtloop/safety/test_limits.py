@@ -18,6 +18,7 @@ from rosfront.refusals import BeyondLimits
 from rtloop.commands import setpoint_reader
 from rtloop.process.initial_state import new_loop
 from rtloop.safety import setpoint_check
+from rtloop.trajectory.limits import stopping_distance_rad
 from shm import layout
 from shm.words import Entry, Fault, Mode, Setpoint
 
@@ -175,7 +176,7 @@ def test_the_first_joint_that_breaks_a_limit_is_the_one_that_is_named(arm: Stand
 
 @given(st.floats(-5.0, 5.0), st.floats(0.05, 40.0))
 def test_the_way_to_rest_is_that_of_braking_step_by_step(velocity: float, braking: float) -> None:
-    way = setpoint_check.stopping_distance_rad(velocity, braking, PERIOD_S)
+    way = stopping_distance_rad(velocity, braking, PERIOD_S)
     assert way == pytest.approx(math.copysign(way_rad(abs(velocity), braking), velocity), abs=1e-9)
 
 

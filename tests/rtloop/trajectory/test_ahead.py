@@ -40,28 +40,47 @@ def arm_with_blend(seed: int, rate_hz: float) -> tuple[VirtualArm, int, float]:
     rate = float(random.choice([1.0, 0.5, 0.3]))
     index = 1 - int(arm.memory["goals"]["active"])
     entry.lay_blend(arm.loop[0], index, rate, 0.0, float(random.choice([0.1, 0.3, 0.45])))
+    if random.random() < 0.5:
+        joint = int(random.integers(len(joints)))
+        farthest_rad = max(positions_rad(arm, index, rate, joint))
+        arm.loop["joints"]["upper_rad"][0, joint] = farthest_rad + random.uniform(-5e-4, 5e-5)
     return arm, index, rate
+
+
+def clocks_s(arm: VirtualArm, index: int, rate: float) -> list[float]:
+    """Path times of the setpoints to two cycles after the blend."""
+    way, step_s = arm.loop["paths"][0, index], rate * arm.period_ns * 1e-9
+    count = int(np.ceil(way["blend_s"] / step_s)) + ahead.CYCLES_AFTER_BLEND
+    return [float(way["entry_s"]) + i * step_s for i in range(1, count + 1)]
+
+
+def positions_rad(arm: VirtualArm, index: int, rate: float, joint: int) -> list[float]:
+    """The commanded setpoint of a joint, and those at these path times."""
+    loop = arm.loop[0]
+    ahead_rad = [
+        path.sample(loop, index, joint, clock_s, path.find_waypoint(loop, index, clock_s, 0))[0]
+        for clock_s in clocks_s(arm, index, rate)
+    ]
+    return [float(loop["axes"][joint]["commanded"]["position_rad"]), *ahead_rad]
 
 
 def differences_keep_limits(arm: VirtualArm, index: int, rate: float) -> bool:
     """Every setpoint to two cycles after the blend, differenced as the last defence does."""
     loop = arm.loop[0]
     period_s = arm.period_ns * 1e-9
-    way = loop["paths"][index]
-    known_s = path.end_s(loop, index)
-    count = int(np.ceil(way["blend_s"] / (rate * period_s))) + ahead.CYCLES_AFTER_BLEND
-    clocks_s = [way["entry_s"] + i * rate * period_s for i in range(1, count + 1)]
-    assume(path.goes_on_past_end(loop, index) or clocks_s[-1] <= known_s)  # else the clock stops before
+    # else the clock stops before
+    assume(path.goes_on_past_end(loop, index) or clocks_s(arm, index, rate)[-1] <= path.end_s(loop, index))
     for joint in range(len(arm.arm.joints)):
-        positions = [float(loop["axes"][joint]["commanded"]["position_rad"])]
-        for clock_s in clocks_s:
-            waypoint = path.find_waypoint(loop, index, clock_s, 0)
-            positions.append(path.sample(loop, index, joint, clock_s, waypoint)[0])
+        positions = positions_rad(arm, index, rate, joint)
         velocity = np.diff(positions) / period_s
         acceleration = np.diff(velocity, prepend=0.0) / period_s
         if np.max(np.abs(velocity)) > limits.highest_rad_s(loop, joint):
             return False
         if np.max(np.abs(acceleration)) > limits.hardest_rad_s2(loop, joint):
+            return False
+        room = [limits.keeps_room(loop, joint, p, p, v, v) for p, v in zip(positions[1:], velocity, strict=True)]
+        assume(all(room[-ahead.CYCLES_AFTER_BLEND :]))  # of the plan alone, which the front has judged
+        if not all(room):
             return False
     return True
 

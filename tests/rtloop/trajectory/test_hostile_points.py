@@ -185,6 +185,7 @@ def test_a_hostile_goal_is_refused_or_succeeds(seed: int, rate_hz: float) -> Non
 
 @trials
 @given(st.integers(0, 10**9), st.sampled_from([100.0, 120.0, 200.0]), st.integers(1, 8))
+@example(4232059, 120.0, 2)  # braked so late on the way onto it that a limit is 8 µrad too near
 @example(1529, 100.0, 5)  # the acceleration of the last point carries it beyond its velocity limit
 def test_hostile_messages_of_a_stream_are_refused_or_followed(seed: int, rate_hz: float, messages: int) -> None:
     hostile = Hostile(seed, rate_hz)
