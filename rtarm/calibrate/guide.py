@@ -122,7 +122,8 @@ class Guide:
                 continue
             if answer not in ("y", "yes"):
                 break
-            self._turn(Move(sign * move.turns, move.rpm))
+            if not self._turned(Move(sign * move.turns, move.rpm)):
+                continue
             seen = chosen(
                 self._person,
                 f"It has turned and stands. Which way did {self._name} go?",
@@ -359,15 +360,21 @@ class Guide:
                 continue
             move = joint_move(values.direction * wanted_deg, values.ratio, self._config.motor_rpm)
             if agrees(self._person, f"{self._described(move)}. Turn it?"):
-                try:
-                    self._turn(move)
-                except NotDone as refused:
-                    self._person.tell(str(refused))
+                self._turned(move)
 
     def _most_joint_deg(self) -> float:
         """Longest next move: a wrong ratio shows in a short one, so none is more than twice as long as those before."""
         seen_deg = max(FIRST_MOTOR_DEG, 2.0 * self._longest_motor_deg) / self.values.ratio
         return min(most_joint_deg(self.values.ratio), float(f"{seen_deg:.3g}"))
+
+    def _turned(self, move: Move) -> bool:
+        """Turn the motor; where that is farther than it may go the person is told, and nothing moves."""
+        try:
+            self._turn(move)
+        except NotDone as refused:
+            self._person.tell(str(refused))
+            return False
+        return True
 
     def _turn(self, move: Move) -> None:
         self._drive.turn(move.turns, move.rpm)

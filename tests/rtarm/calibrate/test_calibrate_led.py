@@ -289,6 +289,24 @@ def test_no_move_leads_beyond_the_range_or_beyond_what_the_drive_can_be_told(tmp
     assert scene.here_deg == pytest.approx(began_deg, abs=0.05)
 
 
+def test_a_first_move_beyond_what_the_drive_can_be_told_is_made_the_other_way(tmp_path: Path) -> None:
+    """Else a drive that stands near an end of what it counts could not be calibrated at all."""
+    scene = Scene(tmp_path, "damiao6", built("damiao6"), by="")
+    given, ways = scene.answer, iter("yoy")
+
+    def answer(question: str) -> str:
+        return next(ways) if "Turn it? [y/N; o" in question else given(question)
+
+    with scene.drive as drive:
+        scene.drive._origin_rad = math.pi * 1.97
+        scene.answer = answer  # type: ignore[method-assign]
+        scene.seen_deg = scene.here_deg
+        scene.guide = Guide(scene.arm, JOINT, drive, scene, lambda changes: None)
+        scene.guide.go()
+    assert any("turn the joint the other way" in line for line in scene.told)
+    assert scene.guide.values.direction == built("damiao6").truth.direction
+
+
 @pytest.mark.parametrize("name", [*ARMS, "episode1"])
 def test_every_joint_can_be_brought_up_by_its_motor(name: str) -> None:
     arm = load_arm(name)
