@@ -58,15 +58,6 @@ def meaning_of_code(code: int, table: tuple[tuple[int, int, int], ...]) -> int:
 
 
 @jit
-def swapped(value: int, size: int) -> int:
-    """The lowest `size` bytes of a number in reverse order, for big-endian fields."""
-    found = 0
-    for number in range(size):
-        found |= ((value >> (8 * number)) & 255) << (8 * (size - 1 - number))
-    return found
-
-
-@jit
 def single(data: int, where: numbers.Single) -> float:
     """The single in a frame's data."""
     return float_at(data, where.at)

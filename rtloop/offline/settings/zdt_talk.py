@@ -15,7 +15,6 @@ from rtloop.service.port import Frame
 
 Value = TypeVar("Value")
 
-"""Refusals: condition not met; not understood (zdt-emm-v5.md 2)."""
 MOST_MISUNDERSTANDINGS = 4 * TRIES
 """A single drive does not understand a request or two that its firmware lacks, each sent `TRIES` times."""
 STANDS_WITHIN_COUNTS = 200

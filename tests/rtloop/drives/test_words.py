@@ -36,8 +36,6 @@ def test_whole_numbers_are_read_as_int_from_bytes_does(number: int, at: int, siz
         (words.signed, int.from_bytes(part, "little", signed=True)),
     ):
         assert function(number, at, size) == expected
-    swapped = int.from_bytes(data[:size], "big")
-    assert words.swapped(number, size) == swapped
 
 
 def signed(word: int) -> int:
