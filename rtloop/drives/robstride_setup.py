@@ -84,7 +84,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         joint,
         state,
         lambda state: state.fault_words,
-        lambda: said(joint, config, _frame(drive, STOP, {protocol.CLEAR: 1})),
+        lambda: _said(joint, config, _frame(drive, STOP, {protocol.CLEAR: 1})),
         called="fault",
     )
     arming = Arming(host, joint, lambda: _is_running(drive))
@@ -115,7 +115,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     standing = yield from confirmed(lambda: _where_it_stands(joint, config), SAME_PLACE_RAD * config.ratio)
     if drive.mode != "control":
         hold_rad_s = ERROR_SPEED_SHARE * config.max_velocity_rad_s * config.ratio
-        yield from said(joint, config, _write(drive, protocol.SPEED_LIMIT, hold_rad_s))
+        yield from _said(joint, config, _write(drive, protocol.SPEED_LIMIT, hold_rad_s))
         held = standing
     if drive.knows_its_angle:
         return Found(standing, held)
@@ -138,7 +138,7 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
     config = arm.joints[joint]
 
     def told() -> Part[str]:
-        state = yield from said(joint, config, _frame(_drive(config), STOP))
+        state = yield from _said(joint, config, _frame(_drive(config), STOP))
         return "keeps running" if state.mode == protocol.RUN else ""
 
     yield from let_go(joint, config, told, "switch the drive off")
@@ -178,7 +178,7 @@ def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
     """
     config = host.arm.joints[joint]
     drive = _drive(config)
-    question = AskFrames((_write(drive, protocol.SPEED_TARGET, 0.0),), _is_feedback)
+    question = AskFrames((_write(drive, protocol.SPEED_TARGET, 0.0),), is_feedback)
     answer = yield from answered(joint, config, question, "state")
     speed, torque = unpacked(answer.data, protocol.SPEED), unpacked(answer.data, protocol.TORQUE)
     held = standing
@@ -190,7 +190,7 @@ def _hold_as_it_is(host: Host, joint: int, standing: float) -> Part[float]:
     reach = drive.position_range_rad
     bits = protocol.PLACE.size
     held = fields.of_field(fields.field(held + reach / FIELD_STEPS, reach, bits), reach, bits)
-    yield from said(joint, config, _hold(drive, held))
+    yield from _said(joint, config, _hold(drive, held))
     return held
 
 
@@ -199,7 +199,7 @@ def _prepare(joint: int, config: JointConfig, standing: float) -> Part[None]:
     drive = _drive(config)
     wanted = protocol.RUN_MODES[drive.mode]
     found = yield from written(
-        lambda: said(joint, config, _frame(drive, WRITE, {protocol.INDEX: protocol.RUN_MODE, protocol.BYTE: wanted})),
+        lambda: _said(joint, config, _frame(drive, WRITE, {protocol.INDEX: protocol.RUN_MODE, protocol.BYTE: wanted})),
         lambda: read_parameter(joint, config, protocol.RUN_MODE, "run mode"),
         lambda found: unpacked(found, protocol.BYTE) == wanted,
     )
@@ -235,7 +235,7 @@ def write_parameter(joint: int, config: JointConfig, index: int, value: float) -
         return math.isclose(has, value, rel_tol=ALIKE, abs_tol=ALIKE)
 
     has = yield from written(
-        lambda: said(joint, config, _write(_drive(config), index, value)),
+        lambda: _said(joint, config, _write(_drive(config), index, value)),
         lambda: _number(joint, config, index, f"parameter {index:X}"),
         is_taken,
     )
@@ -251,7 +251,7 @@ def _enabled(joint: int, config: JointConfig, standing: float) -> Part[State]:
     """Enable the motor, in control mode together with its first set-point; its state after that."""
     drive = _drive(config)
     hold = (_hold(drive, standing),) if drive.mode == "control" else ()
-    yield from said(joint, config, _frame(drive, ENABLE), *hold)
+    yield from _said(joint, config, _frame(drive, ENABLE), *hold)
     return (yield from _asked_again(joint, config))
 
 
@@ -287,23 +287,24 @@ def _hold(drive: RobstrideDrive, standing: float) -> Frame:
     return _frame(drive, CONTROL, {protocol.PLACE: place, protocol.SPEED: middle, **_gains(drive)}, data16=middle)
 
 
-def said(joint: int, config: JointConfig, *frames: Frame) -> Part[State]:
+def _said(joint: int, config: JointConfig, *frames: Frame) -> Part[State]:
     """Send frames that are answered with a feedback, and return its state; raises DialogueFailed without an answer."""
-    return _state((yield from answered(joint, config, AskFrames(frames, _is_feedback), "state")))
+    return _state((yield from answered(joint, config, AskFrames(frames, is_feedback), "state")))
 
 
 def _asked_how_it_is(drive: RobstrideDrive) -> Part[State | None]:
     """Read the motor's state; None if it does not answer."""
-    answer = yield AskFrames((_write(drive, protocol.SPEED_TARGET, 0.0),), _is_feedback)
+    answer = yield AskFrames((_write(drive, protocol.SPEED_TARGET, 0.0),), is_feedback)
     return None if answer is None else _state(answer)
 
 
 def _asked_again(joint: int, config: JointConfig) -> Part[State]:
     """Read the motor's state again; raises DialogueFailed if it no longer answers."""
-    return (yield from said(joint, config, _write(_drive(config), protocol.SPEED_TARGET, 0.0)))
+    return (yield from _said(joint, config, _write(_drive(config), protocol.SPEED_TARGET, 0.0)))
 
 
-def _is_feedback(frame: Frame) -> bool:
+def is_feedback(frame: Frame) -> bool:
+    """Whether a frame of the motor tells its state."""
     return frame.id >> TYPE_BIT == protocol.FEEDBACK and len(frame.data) == 8
 
 

@@ -152,7 +152,10 @@ class Node:
 
     def write(self, entry: Object, value: int) -> Part[None]:
         """Write a value into an object; raises Aborted."""
-        reply = yield writing(self.number, entry, value)
+        self.require_written(entry, value, (yield writing(self.number, entry, value)))
+
+    def require_written(self, entry: Object, value: int, reply: Frame | None) -> None:
+        """Check the reply to such a write; raises Aborted."""
         self._heard(entry, reply, f"take {value if entry.signed else hex(value)} for")
 
     def ensure(self, entry: Object, value: int) -> Part[None]:

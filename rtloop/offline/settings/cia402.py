@@ -9,9 +9,9 @@ from collections.abc import Callable
 from config.drives.cia402 import Cia402Drive
 from rtloop.drives import cia402_protocol as protocol
 from rtloop.drives import cia402_setup as setup
-from rtloop.drives.sdo import Aborted, Node, Object, abort_words
+from rtloop.drives.sdo import Aborted, Node, Object, abort_words, writing
 from rtloop.offline.settings.compare import Value
-from rtloop.offline.settings.table import Reading, Row, State, Table, Whose, named, rounded, told
+from rtloop.offline.settings.table import Reading, Row, State, Table, Whose, named, rounded, sent_once, told
 from rtloop.service.conversation import DialogueFailed, Part
 
 NAME, HARDWARE, FIRMWARE = (
@@ -114,7 +114,7 @@ def store(whose: Whose) -> Part[str | None]:
     try:
         if not (yield from node.read(STORE)) & STORES_WHEN_TOLD:
             return "stores nothing when it is told to (object 1010:01)"
-        yield from node.write(STORE, SAVE)
+        node.require_written(STORE, SAVE, (yield from sent_once(writing(node.number, STORE, SAVE))))
     except Aborted as aborted:
         return f"does not store what it was told (object 1010:01): {abort_words(aborted.code)}"
     except DialogueFailed:

@@ -24,6 +24,7 @@ from rtloop.offline.settings.table import (
     not_named,
     number,
     rounded,
+    sent_once,
     told,
     word,
 )
@@ -118,7 +119,7 @@ def state(whose: Whose) -> Part[State | None]:
 def store(whose: Whose) -> Part[str | None]:
     """Store all registers."""
     frame = setup.registers(_drive(whose), protocol.STORE, {protocol.REGISTER: STORES_ALL})
-    answer = yield AskFrames((frame,), lambda heard: heard.data[:3] == frame.data[:3], answered=False)
+    answer = yield from sent_once(AskFrames((frame,), lambda heard: heard.data[:3] == frame.data[:3]))
     return None if answer is not None else "does not say that it has stored what it was told"
 
 

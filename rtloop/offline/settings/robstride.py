@@ -14,10 +14,11 @@ from collections.abc import Callable
 from config.drives.robstride import TYPE_BIT, RobstrideDrive
 from rtloop.drives import robstride_protocol as protocol
 from rtloop.drives import robstride_setup as setup
+from rtloop.drives.asking import AskFrames
 from rtloop.drives.numbers import unpacked
 from rtloop.offline.settings.compare import Value
-from rtloop.offline.settings.table import Reading, Row, State, Table, Whose, named, rounded, told, word
-from rtloop.service.conversation import DialogueFailed, Part
+from rtloop.offline.settings.table import Reading, Row, State, Table, Whose, named, rounded, sent_once, told, word
+from rtloop.service.conversation import Part
 from rtloop.service.port import Frame
 
 SAVE, SAVE_DATA = 22, bytes(range(1, 9))
@@ -94,11 +95,8 @@ def store(whose: Whose) -> Part[str | None]:
     """Let a RobStride store its parameters."""
     drive = _drive(whose)
     frame = Frame(SAVE << TYPE_BIT | drive.host_id << 8 | drive.motor_id, SAVE_DATA)
-    try:
-        yield from setup.said(whose.joint, whose.config, frame)
-    except DialogueFailed:
-        return "does not say that it has stored what it was told"
-    return None
+    answer = yield from sent_once(AskFrames((frame,), setup.is_feedback))
+    return None if answer is not None else "does not say that it has stored what it was told"
 
 
 def remarks(whose: Whose, found: Reading) -> list[str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
 from config.drives.drive import Drive
@@ -27,6 +27,8 @@ STANDS_WITHIN_TURNS = 0.003
 """About a degree of what the drive counts: a closed loop that holds dithers by less."""
 DIGITS = 6
 """Those of a single that are right."""
+STORE_WAITS = 10
+"""A drive that writes its flash may answer late: each of these waits is as long as all tries of a question, 0.3 s."""
 
 
 class Whose(NamedTuple):
@@ -251,6 +253,16 @@ def told(part: Part[Result]) -> Part[Result | None]:
         return (yield from part)
     except DialogueFailed:
         return None
+
+
+def sent_once(question: AskFrames) -> Part[Frame | None]:
+    """The answer to a command to store, which is not sent again while it takes its time: flash wears out."""
+    answer: Frame | None = yield replace(question, answered=False)
+    for _ in range(STORE_WAITS):
+        if answer is not None:
+            break
+        answer = yield replace(question, frames=())
+    return answer
 
 
 def rounded(value: float) -> float | None:

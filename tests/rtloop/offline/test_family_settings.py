@@ -192,6 +192,36 @@ def test_stored_settings_outlive_the_power(family: str) -> None:
         assert case.has(drives[0]) == case.wants
 
 
+@pytest.mark.parametrize("family", REMEMBERS)
+@pytest.mark.parametrize("late_s", [1.0, 60.0])
+def test_a_drive_is_told_to_store_once_however_long_it_takes(family: str, late_s: float) -> None:
+    """Flash wears out, and a drive that writes it is busy."""
+    is_store: dict[str, Callable[[Frame], bool]] = {
+        "cia402": lambda frame: frame.data == b"\x23\x10\x10\x01save",
+        "damiao": lambda frame: frame.can_id == 0x7FF and frame.data[2] == damiao.STORE,
+        "robstride": lambda frame: frame.can_id >> 24 == 22,
+    }
+    case = CASES[family]
+    with at_rest(case.config, case) as (_, drives, session):
+        drive, receive, delay_ns = drives[0], drives[0].receive, drives[0].reply_delay_ns
+        stores: list[Frame] = []
+
+        def late(now_ns: int, frame: Frame) -> None:
+            if drive.concerns(frame) and is_store[family](frame):
+                stores.append(frame)
+                drive.reply_delay_ns = (round(late_s * 1e9),) * 2
+            receive(now_ns, frame)
+            drive.reply_delay_ns = delay_ns
+
+        drive.receive = late
+        written = session.write(store=True)
+        assert len(stores) == 1
+        if late_s < 3.0:
+            assert written.failure is None and "joint1" in written.joints
+        else:
+            assert "does not say that it has stored what it was told" in str(written.failure)
+
+
 @pytest.mark.parametrize("family", WRITTEN)
 def test_a_drive_that_keeps_what_it_has_ends_it(family: str) -> None:
     case = CASES[family]
