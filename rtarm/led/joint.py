@@ -205,7 +205,10 @@ class Led(Connection):
         if self.is_disabled():
             return f"The drive of {self.name} is limp."
         away_rad = abs(float(joint["commanded_position_rad"] - joint["measured_position_rad"]))
-        moves = bool(joint["commanded_velocity_rad_s"]) or away_rad > AT_EASE_RAD
+        if not joint["referenced"]:  # it goes nowhere but to its stop, and where it was is no place to be away from
+            away_rad = 0.0
+        homes = int(now["mode"]) == Mode.REFERENCING
+        moves = homes or bool(joint["commanded_velocity_rad_s"]) or away_rad > AT_EASE_RAD
         return f"{self.name} was still on its way." if moves else ""
 
     def reference(self, angle_rad: float) -> None:

@@ -253,6 +253,27 @@ def test_a_signal_amid_a_move_stops_it(tmp_path: Path, name: str) -> None:
     assert scene.rig.drive.enabled and scene.rig.led.not_seen_to_stand() == ""
 
 
+def test_a_homing_run_that_is_ended_stands_and_is_seen_to(tmp_path: Path) -> None:
+    """Far from where it began: a drive without a reference is not away from anything."""
+    scene = Scene(tmp_path, "mks6", built("mks6"))
+
+    def interrupt() -> None:
+        raise Interrupted("SIGINT")
+
+    with scene.drive:
+        led, began_deg = scene.rig.led, scene.here_deg
+        until_it_moves(scene, interrupt, by_deg=20.0)
+        with pytest.raises(Interrupted), led.stopped_by_any_end():
+            led.home()
+        assert led.not_seen_to_stand() == "joint2 was still on its way."
+        led.until(lambda now: int(now["mode"]) == Mode.HOLDING, 5.0)
+        stands_deg = scene.here_deg
+        assert led.not_seen_to_stand() == "" and not led.referenced
+        scene.rig.cycles(100)
+    assert 20.0 < abs(stands_deg - began_deg) < 45.0
+    assert scene.here_deg == pytest.approx(stands_deg, abs=0.01)
+
+
 @pytest.mark.parametrize("name", ["mks6", "damiao6"])
 def test_a_joint_that_is_limp_when_it_ends_is_held_again(tmp_path: Path, name: str) -> None:
     scene = Scene(tmp_path, name, built(name))
