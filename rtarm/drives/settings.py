@@ -148,12 +148,14 @@ def plan(report: Report, *, store: bool = True) -> list[str]:
 
 def question(report: Report) -> list[str]:
     """What a person has to agree to before flash is written."""
+    volatile_first = [
+        "A drive may store all else that it is set to now together with these.",
+        "Flash wears out with every write, and a wrong value stays: try it in volatile memory first.",
+    ]
     return [
         "To be written to flash, where it outlives the power:",
         *(f"  {line}" for line in plan(report)),
-        "With anything but the watchdog a drive stores its whole configuration block, as it stands now with these "
-        "changes.",
-        "Flash wears out with every write, and a wrong value stays: try it in volatile memory first.",
+        *(volatile_first if plan(report, store=False) else ["A wrong value stays."]),
         "Write flash?",
     ]
 

@@ -204,8 +204,8 @@ def test_mock_drives_have_no_settings(rtarm: Callable[..., Result]) -> None:
     )
 
 
-def setting(name: str, wanted: Any, found: Any) -> dict[str, Any]:
-    return {"name": name, "wanted": wanted, "found": found, "verdict": "differs", "writable": True}
+def setting(name: str, wanted: Any, found: Any, *, kept: bool = False) -> dict[str, Any]:
+    return {"name": name, "wanted": wanted, "found": found, "verdict": "differs", "writable": True, "kept": kept}
 
 
 def test_the_question_names_drive_setting_old_and_new_value() -> None:
@@ -220,3 +220,12 @@ def test_the_question_names_drive_setting_old_and_new_value() -> None:
     assert plan(report) == ["elbow (address 3): current_ma 3000 → 2500"]
     assert "  elbow (address 3): current_ma 3000 → 2500" in question(report)
     assert summary(report).startswith("1 setting to be written")
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_nobody_is_sent_to_volatile_memory_that_a_drive_does_not_have(kept: bool) -> None:
+    changed = setting("response", "off", "on", kept=kept)
+    report = {"drives": [{"joint": "elbow", "address": 3, "settings": [changed], "to_write": ["response"]}]}
+    said = " ".join(question(report))
+    assert ("try it in volatile memory first" in said) is not kept
+    assert ("may store all else" in said) is not kept
