@@ -196,7 +196,7 @@ def run(
             told(KEPT)
         if not write or not plan(report, store=store):
             show(report)
-            if store:
+            if store and any(setting["writable"] for drive in report["drives"] for setting in drive["settings"]):
                 told(NOTHING_TO_STORE)
             return report
         if store and not confirm("\n".join(question(report))):
@@ -240,6 +240,8 @@ def render(arm: ArmConfig, report: Report) -> RenderableType:
 def summary(report: Report) -> str:
     """The last line: whether all is well, and what to do where it is not."""
     drives = report["drives"]
+    if agrees(report) and all(s["wanted"] is None for drive in drives for s in drive["settings"]):
+        return "Every drive answers; the arm file names nothing of what they tell."
     if agrees(report):
         return "Every drive is as the arm file wants it; what the file does not name is shown in brackets."
     changes = sum(len(drive["to_write"]) for drive in drives)

@@ -222,6 +222,12 @@ def test_the_question_names_drive_setting_old_and_new_value() -> None:
     assert summary(report).startswith("1 setting to be written")
 
 
+@pytest.mark.parametrize(("wanted", "said"), [(None, "names nothing of what they tell"), ("off", "wants it")])
+def test_drives_agree_with_a_file_that_names_something_of_them_alone(wanted: str | None, said: str) -> None:
+    drive = {"joint": "elbow", "address": 3, "settings": [setting("response", wanted, "off")], "to_write": []}
+    assert said in summary({"drives": [drive | {"agrees": True}]})
+
+
 @pytest.mark.parametrize("kept", [False, True])
 def test_nobody_is_sent_to_volatile_memory_that_a_drive_does_not_have(kept: bool) -> None:
     changed = setting("response", "off", "on", kept=kept)
