@@ -56,23 +56,26 @@ def write_answers(whose: Whose, wanted: str) -> Part[object]:
 
 
 def state(whose: Whose) -> Part[State | None]:
-    """Whether it moves and where it is, whether it has tripped, and what it is."""
+    """Whether it moves, where it is, and what it is."""
     can_id = whose.drive.number
     answer = yield setup.ask(can_id, 3, protocol.READ_STATE)
     if answer is None:
         return None
     moves = unpacked(answer.data, protocol.VALUE) not in (protocol.STANDS, protocol.REFUSED)
     place = yield setup.ask(can_id, 8, protocol.READ_POSITION)
-    stalled = yield setup.ask(can_id, 3, protocol.READ_STALLED)
-    tripped = stalled is not None and unpacked(stalled.data, protocol.VALUE) == 1
-    lets_go = tripped and (yield from setup.lets_go_stalled(whose.config))
     version = yield setup.ask(can_id, VERSION_LENGTHS, VERSION)
     return State(
-        trouble="stall" if lets_go else "",
         moves=moves,
         turns=None if place is None else unpacked(place.data, protocol.COUNTS) / COUNTS_PER_REVOLUTION,
         known={} if version is None else what_it_is(version.data),
     )
+
+
+def trouble(whose: Whose) -> Part[str]:
+    """Whether it has tripped; what a stall does is a setting, which two drives of one CanID are not asked for."""
+    stalled = yield setup.ask(whose.drive.number, 3, protocol.READ_STALLED)
+    tripped = stalled is not None and unpacked(stalled.data, protocol.VALUE) == 1
+    return "stall" if tripped and (yield from setup.lets_go_stalled(whose.config)) else ""
 
 
 def what_it_is(data: bytes) -> dict[str, Value]:
@@ -123,6 +126,7 @@ TABLE = Table(
         Row("stall_protection", "command 88, at first off", parameter(protocol.PROTECT, 1, one_of(("off", "on")))),
     ),
     state=state,
+    trouble=trouble,
     remarks=remarks,
 )
 new_reading, read, report_of, write = TABLE.new_reading, TABLE.read, TABLE.report_of, TABLE.write

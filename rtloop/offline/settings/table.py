@@ -162,6 +162,8 @@ class Table:
     rows: tuple[Row, ...]
     state: Callable[[Whose], Part[State | None]]
     """Ask whether the drive is there, and how it is; None if it does not answer. Its first question is asked once."""
+    trouble: Callable[[Whose], Part[str]] | None = None
+    """Its error in words, where that takes questions which two drives of one address must not be asked."""
     store: Callable[[Whose], Part[str | None]] | None = None
     """Let the drive store what it has; why it may not have, to follow its name. It raises nothing."""
     remarks: Callable[[Whose, Reading], list[str]] = lambda whose, found: []
@@ -179,6 +181,8 @@ class Table:
         found.state = yield from told(self.state(whose))
         if found.state is None or found.shared_address:  # of drives that share an address nothing more is asked
             return
+        if self.trouble is not None:
+            found.state = found.state._replace(trouble=(yield from told(self.trouble(whose))) or "")
         for row in self.rows:
             value = found.state.known.get(row.name)
             found.values[row.name] = value if row.read is None else (yield from told(row.read(whose)))

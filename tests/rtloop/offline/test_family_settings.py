@@ -359,6 +359,23 @@ def test_what_a_robstride_counts_from_power_on_must_fit_its_joint(zero_deg: floa
         assert "lets go when it hears nothing for 1000 ms" in session.reports[0].notes[0]
 
 
+def test_two_mks_drives_of_one_can_id_are_not_asked_for_settings_even_when_they_have_stalled() -> None:
+    """The answer of one would set the other."""
+    with at_rest(CASES["mks"].config, None, [faults.SameAddress("joint2", 0.0)]) as (_, drives, session):
+        asked: list[Frame] = []
+        drive, receive = drives[1], drives[1].receive
+
+        def listen(now_ns: int, frame: Frame) -> None:
+            if drive.concerns(frame):
+                asked.append(frame)
+            receive(now_ns, frame)
+
+        drive.receive, drive.stalled = listen, True
+        session.read()
+        assert "More than one drive answers" in session.reports[1].left_alone[0]
+        assert asked and not [frame for frame in asked if frame.data[0] == 0x00]
+
+
 def test_mks_firmware_that_cannot_be_asked_is_told() -> None:
     with at_rest(CASES["mks"].config) as (_, drives, session):
         obey = drives[0]._obey
