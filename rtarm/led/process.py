@@ -145,6 +145,7 @@ def _state_of(pid: int) -> str:
 @contextmanager
 def led_alone(arm: ArmConfig, joint: int, values: Mapping[str, Any]) -> Iterator[tuple[Led, LedProcess]]:
     """A joint of an arm that is being brought up alone, with an arm file of these `values`; raises Refusal."""
+    require_at_rest(arm, "Joints are led")  # another may have begun while this one's person was asked
     left_behind = f"rtarm-led-{arm.name}-"  # of one that was killed: no other runs beside the arm's memory files
     for folder in Path(tempfile.gettempdir()).glob(f"{left_behind}*"):
         shutil.rmtree(folder, ignore_errors=True)

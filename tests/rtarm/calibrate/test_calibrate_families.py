@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,9 @@ from rtarm.calibrate.arm_file import ArmFile
 from rtarm.calibrate.run import Calibration
 from rtarm.console.errors import ExitCode, Refusal
 from rtarm.console.person import Quit
-from rtarm.led.process import NOT_SEEN, LedProcess
+from rtarm.led import process as led_process
+from rtarm.led.joint import alone
+from rtarm.led.process import NOT_SEEN, LedProcess, led_alone
 from shm.errors import NotRunning
 
 LIMP = "The drive of joint2 is limp."
@@ -108,3 +112,17 @@ def test_however_it_ends_a_drive_that_was_not_seen_to_stand_is_told(
     with pytest.raises(Refusal) as ended:
         run.calibrate(str(file), ["joint2"], None, {}, Silent())
     assert (ended.value.sentence, ended.value.code) == (sentence, code)
+
+
+def test_what_another_one_keeps_that_began_meanwhile_is_left_to_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its control process has its references there."""
+    arm = load_arm("odrive6")
+    kept = tmp_path / "rtarm-led-odrive6-another"
+    kept.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(led_process.files, "open_state", lambda name: BytesIO())
+    with pytest.raises(Refusal, match="this arm has one already"), led_alone(arm, 0, alone(arm, 0)):
+        raise AssertionError
+    assert list(tmp_path.iterdir()) == [kept]
