@@ -59,9 +59,10 @@ def drives(
             told=lambda line: typer.echo(line, err=True),
             confirm=lambda question: typer.confirm(question, err=True),
         )
-        if report.get("failure"):
-            typer.echo(report["failure"], err=True)
-        raise typer.Exit(int(ExitCode.DONE if agrees(report) else ExitCode.UNHEALTHY))
+        failure = report.get("failure")
+        if failure:
+            typer.echo(failure, err=True)
+        raise typer.Exit(int(ExitCode.DONE if agrees(report) and not failure else ExitCode.UNHEALTHY))
 
 
 @drives_app.command()

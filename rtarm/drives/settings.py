@@ -240,6 +240,8 @@ def render(arm: ArmConfig, report: Report) -> RenderableType:
 def summary(report: Report) -> str:
     """The last line: whether all is well, and what to do where it is not."""
     drives = report["drives"]
+    if agrees(report) and report.get("failure"):
+        return "Every drive is as the arm file wants it now, but not all have stored that."
     if agrees(report) and all(s["wanted"] is None for drive in drives for s in drive["settings"]):
         return "Every drive answers; the arm file names nothing of what they tell."
     if agrees(report):

@@ -228,6 +228,17 @@ def test_drives_agree_with_a_file_that_names_something_of_them_alone(wanted: str
     assert said in summary({"drives": [drive | {"agrees": True}]})
 
 
+def test_what_was_written_and_not_stored_is_no_success(
+    rtarm: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive = {"joint": "joint1", "address": 1, "settings": [setting("heartbeat_ms", 200, 200)], "to_write": []}
+    report = {"drives": [drive | {"agrees": True}], "failure": "The drive of joint1 (node_id 1) does not store."}
+    monkeypatch.setattr("rtarm.drives.settings.run", lambda *_, **__: report)
+    result = rtarm("drives", "cia402_6", "--write", "--store")
+    assert (result.exit_code, result.stderr) == (5, f"{report['failure']}\n")
+    assert "not all have stored that" in summary(report)
+
+
 @pytest.mark.parametrize("kept", [False, True])
 def test_nobody_is_sent_to_volatile_memory_that_a_drive_does_not_have(kept: bool) -> None:
     changed = setting("response", "off", "on", kept=kept)
