@@ -7,32 +7,6 @@ from rtloop.drives import fields, numbers
 
 
 @jit
-def unsigned(data: int, at: int, size: int) -> int:
-    """The unsigned number in `size` bytes (1 to 4) from byte `at`, little-endian."""
-    return (data >> (8 * at)) & ((1 << (8 * size)) - 1)
-
-
-@jit
-def signed(data: int, at: int, size: int) -> int:
-    """The signed number (two's complement) in `size` bytes from byte `at`, little-endian."""
-    value = unsigned(data, at, size)
-    half = 1 << (8 * size - 1)
-    return value - 2 * half if value >= half else value
-
-
-@jit
-def float_at(data: int, at: int) -> float:
-    """An IEEE 754 single at byte `at`, little-endian."""
-    return float(np.int32(signed(data, at, 4)).view(np.float32))
-
-
-@jit
-def float_word(value: float) -> int:
-    """The four bytes of an IEEE 754 single, little-endian."""
-    return int(np.float32(value).view(np.int32)) & 0xFFFFFFFF
-
-
-@jit
 def bounded(value: float, most: int) -> int:
     """The nearest whole number within ±most; undefined for NaN, which `may_be_sent` keeps away."""
     return round(min(max(value, -float(most)), float(most)))
@@ -57,22 +31,22 @@ def meaning_of_code(code: int, table: tuple[tuple[int, int, int], ...]) -> int:
     return 0
 
 
+whole = jit(numbers.whole)
+placed = jit(numbers.placed)
+bits = jit(numbers.bits)
+placed_bits = jit(numbers.placed_bits)
+
+
 @jit
 def single(data: int, where: numbers.Single) -> float:
     """The single in a frame's data."""
-    return float_at(data, where.at)
+    return float(np.uint32(data >> 8 * where.at & 0xFFFFFFFF).view(np.float32))
 
 
 @jit
 def placed_single(where: numbers.Single, value: float) -> int:
     """Data in which the single is a value, and all other bytes 0."""
-    return float_word(value) << 8 * where.at
-
-
-whole = jit(numbers.whole)
-placed = jit(numbers.placed)
-bits = jit(numbers.bits)
-placed_bits = jit(numbers.placed_bits)
+    return (int(np.float32(value).view(np.int32)) & 0xFFFFFFFF) << 8 * where.at
 
 
 @jit

@@ -15,29 +15,6 @@ relaxed = settings(deadline=None)
 finite_singles = st.floats(allow_nan=False, allow_infinity=False, width=32)
 
 
-@relaxed
-@given(finite_singles, finite_singles)
-def test_floats_come_back_as_struct_packs_them(first: float, second: float) -> None:
-    data = int.from_bytes(struct.pack("<ff", first, second), "little", signed=True)
-    assert (words.float_at(data, 0), words.float_at(data, 4)) == (first, second)
-    assert words.float_word(first) == int.from_bytes(struct.pack("<f", first), "little")
-
-
-@relaxed
-@given(st.integers(-(2**63), 2**63 - 1), st.integers(0, 7), st.integers(1, 4))
-@example(0x80, 0, 1)
-@example(0x7F_8000_0000, 0, 4)
-def test_whole_numbers_are_read_as_int_from_bytes_does(number: int, at: int, size: int) -> None:
-    size = min(size, 8 - at)
-    data = number.to_bytes(8, "little", signed=True)
-    part = data[at : at + size]
-    for function, expected in (
-        (words.unsigned, int.from_bytes(part, "little")),
-        (words.signed, int.from_bytes(part, "little", signed=True)),
-    ):
-        assert function(number, at, size) == expected
-
-
 def signed(word: int) -> int:
     """Eight data bytes as the cycle holds them, also where the word was made without the compiler."""
     return int.from_bytes((int(word) & (1 << 64) - 1).to_bytes(8, "little"), "little", signed=True)
