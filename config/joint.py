@@ -14,10 +14,21 @@ from config.drives.mock import MockDrive
 from config.drives.myactuator import MyactuatorDrive
 from config.drives.odrive import OdriveDrive
 from config.drives.robstride import RobstrideDrive
+from config.drives.vesc import VescDrive
 from config.drives.zdt import ZdtDrive
 from config.section import NoBool, Section, refuse, refuse_name
 
-Drives = ZdtDrive | OdriveDrive | MksDrive | DamiaoDrive | Cia402Drive | RobstrideDrive | MyactuatorDrive | MockDrive
+Drives = (
+    ZdtDrive
+    | OdriveDrive
+    | MksDrive
+    | DamiaoDrive
+    | Cia402Drive
+    | RobstrideDrive
+    | MyactuatorDrive
+    | VescDrive
+    | MockDrive
+)
 """One line a family. Its name is that of its files: config/drives/, rtloop/drives/ and sim/drives/ have one of it."""
 DriveConfig = Annotated[Drives, Field(discriminator="family")]
 FAMILIES: tuple[str, ...] = tuple(

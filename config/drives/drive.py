@@ -46,6 +46,9 @@ class Drive(Section, ABC):
         """What to do where one that knows its angle within a motor turn alone counts a turn off; None of others."""
         return None
 
+    most_of_a_turn: ClassVar[float | None] = None
+    """What a joint's range may be of a motor turn, where positions come round each turn; None where they do not."""
+
     @property
     def plans_its_motion(self) -> bool:
         """Whether it goes to a target with a speed and a ramp of its own, and so brakes by itself in silence."""

@@ -32,6 +32,7 @@ def check_drives(joints: Sequence[JointConfig], bus: BusConfig, limits: Limits) 
     _are_not_too_fast(joints)
     _reach_the_whole_range(joints)
     _know_their_angle(joints)
+    _stay_within_a_turn(joints)
     _do_what_the_bus_asks(joints, bus)
     _suit_the_bus(joints, bus)
     _brake_in_silence(joints, limits)
@@ -114,6 +115,18 @@ def _know_their_angle(joints: Sequence[JointConfig]) -> None:
                 f"encoder of {joint.name} is absolute, but its range is {joint.range_turns:.2f} motor turns and "
                 f"{joint.drive.called} knows its angle within one turn only: remove encoder (a person then says where "
                 "the joint stands), or narrow the range to less than a turn.",
+            )
+
+
+def _stay_within_a_turn(joints: Sequence[JointConfig]) -> None:
+    for index, joint in enumerate(joints):
+        most = joint.drive.most_of_a_turn
+        if most is not None and joint.range_turns > most:
+            raise refuse(
+                f"joints[{index}].ratio",
+                f"the range of {joint.name} is {joint.range_turns:.2f} motor turns with ratio {joint.ratio:g}, but "
+                f"{joint.drive.called} counts within one turn, of which the range may be {most:g}: narrow the range, or "
+                "make a turn of its position more turns of the encoder, in the drive and in ratio.",
             )
 
 

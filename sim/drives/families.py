@@ -11,6 +11,7 @@ from sim.drives.mks import MksDrive
 from sim.drives.myactuator import MyactuatorDrive
 from sim.drives.odrive import OdriveDrive
 from sim.drives.robstride import RobstrideDrive
+from sim.drives.vesc import VescDrive
 from sim.drives.zdt import ZdtDrive
 
 FAMILIES: dict[str, Callable[[Mounting], Drive]] = {
@@ -21,5 +22,6 @@ FAMILIES: dict[str, Callable[[Mounting], Drive]] = {
     "cia402": Cia402Drive.mounted,
     "myactuator": MyactuatorDrive.mounted,
     "robstride": RobstrideDrive.mounted,
+    "vesc": VescDrive.mounted,
 }
 """Makes the drive of a joint, by the family its configuration names."""
