@@ -125,7 +125,7 @@ def _stay_within_a_turn(joints: Sequence[JointConfig]) -> None:
             raise refuse(
                 f"joints[{index}].ratio",
                 f"the range of {joint.name} is {joint.range_turns:.2f} motor turns with ratio {joint.ratio:g}, but "
-                f"{joint.drive.called} counts within one turn, of which the range may be {most:g}: narrow the range, or "
+                f"{joint.drive.called} counts within one turn, of which it may use {most:g}: narrow the range, or "
                 "make a turn of its position more turns of the encoder, in the drive and in ratio.",
             )
 

@@ -16,7 +16,7 @@ from rtloop.service.conversation import Part
 
 STANDING_STEPS = 2
 """A drive that tells two positions no farther apart stands."""
-REMARK = "The settings of a VESC are neither read nor written here: use VESC Tool (docs/hardware/drive-families.md names them)."
+REMARK = "rtarm neither reads nor writes the settings of a VESC: use VESC Tool (docs/hardware/drive-families.md)."
 
 
 def _drive(whose: Whose) -> VescDrive:

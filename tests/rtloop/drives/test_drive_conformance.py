@@ -68,6 +68,13 @@ FAMILIES = (
     Family("myactuator6", path_error_deg=0.02, ripple=0.025, braking=2.2, measures=EVERYTHING),
     Family("robstride6", path_error_deg=0.03, ripple=0.015, braking=math.inf, measures=EVERYTHING),
     Family("robstride6_position", path_error_deg=0.03, ripple=0.003, braking=math.inf, measures=EVERYTHING),
+    Family(
+        "vesc6",
+        path_error_deg=0.03,
+        ripple=0.05,
+        braking=math.inf,
+        measures=("drive_temperature_c", "drive_voltage_v"),
+    ),
 )
 
 
