@@ -46,6 +46,8 @@ class Drive:
         rounds: speeds are whole numbers of its step.
         acc: byte of a command that holds its ramp, 0 for none.
         loop_s: its own position loop slows down so many seconds before the target.
+        comes_round: its angles come round each turn of its shaft, in commands and readings.
+        is_asked: for its angle, which comes by itself otherwise.
     """
 
     reads: Callable[[list[bytes]], Command]
@@ -58,6 +60,8 @@ class Drive:
     rounds: bool = False
     acc: int = 0
     loop_s: float = 0.0
+    comes_round: bool = False
+    is_asked: bool = True
 
 
 def hexed(identifier: str, data: bytes) -> str:
@@ -239,6 +243,25 @@ def cia402_is_position(identifier: int, data: bytes) -> bool:
     return identifier == 0x181 and len(data) == 8
 
 
+# --- VESC: 4 1e-6 degrees of 32 bits, big-endian; 16 0.1 °C16 0.1 °C16 0.1 A16 degrees/50 of 16 bits
+
+
+def vesc_reads(frames: list[bytes]) -> Command:
+    (millionths,) = struct.unpack(">i", *frames)
+    assert 0 <= millionths <= 360_000_000
+    return Command(millionths / 1e6 * DEGREE)
+
+
+def vesc_says(rad: float, rad_s: float, nm: float, celsius: int) -> Said:
+    fiftieths = round(rad / DEGREE * 50)
+    data = struct.pack(">hhhh", celsius * 10 - 1, celsius * 10, -7, fiftieths % 18_000)
+    return Said((hexed("00001001", data),), fiftieths / 50 * DEGREE, celsius=celsius)
+
+
+def vesc_is_position(identifier: int, data: bytes) -> bool:
+    return identifier == 0x1001 and len(data) == 8
+
+
 STEPPER, DIRECT, ANY = (1.0, 20.0, 50.0), (0.5, 1.0, 2.0), (0.5, 2.0, 50.0)
 DRIVES: dict[tuple[str, str], Drive] = {
     ("zdt", "usual"): Drive(zdt_reads, zdt_says, zdt_is_position, STEPPER, TURN / 6400, RPM, True, True, acc=4),
@@ -254,6 +277,9 @@ DRIVES: dict[tuple[str, str], Drive] = {
     ),
     ("myactuator", "usual"): Drive(
         myactuator_reads, myactuator_says, myactuator_is_position, ANY, DEGREE / 200, DEGREE, True, True
+    ),
+    ("vesc", "usual"): Drive(
+        vesc_reads, vesc_says, vesc_is_position, (0.25, 0.5, 1.0), 1e-6 * DEGREE, comes_round=True, is_asked=False
     ),
     ("cia402", "usual"): Drive(cia402_reads, cia402_says, cia402_is_position, ANY, TURN / 262_144),
 }

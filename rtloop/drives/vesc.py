@@ -19,7 +19,9 @@ from rtloop.memory.state import Loop
 from rtloop.safety import monitor, setpoint_check
 from rtloop.wire import outgoing
 from shm.layout import StateFile
+from shm.words import Unreferenced
 
+_SILENT, _POWER_LOST = int(Unreferenced.SILENT), int(Unreferenced.POWER_LOST)
 FAULT_MEANINGS = code_meanings(protocol.FAULTS)
 HOTTEST_C = protocol.HOTTEST_C
 SURE_AFTER = 2
@@ -31,7 +33,7 @@ nearest = jit(protocol.nearest)
 
 @jit
 def set_position(turns: float) -> int:
-    """Data of a position command, of any turn."""
+    """Data of a position command for a place in any turn."""
     return int(words.placed(protocol.POSITION, round(within_a_turn(turns) * protocol.POSITION_PER_TURN)))
 
 
@@ -61,8 +63,8 @@ def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     Nothing is sent to a drive that may have let go or lost its power, since a position enables it.
     """
     axis = loop.axes[joint]
-    lets_go = axis.drive.is_disabled == 1 or axis.reference.referenced == 0
-    if lets_go or not monitor.knows_where_it_stands(loop, joint):
+    may_be_limp = axis.drive.is_disabled == 1 or axis.reference.unreferenced_reason in (_SILENT, _POWER_LOST)
+    if may_be_limp or not monitor.knows_where_it_stands(loop, joint):
         return True
     return send_position(loop, joint, shared, axis.measured.position_rad, joint)
 

@@ -6,15 +6,16 @@ timeout.c, motor/mc_interface.c (faults), motor/foc_math.c (the position control
 Modelled:
 - Identifiers: extended, packet << 8 | id; 255 is for all. Status 1, 4 and 5 by themselves, in two sets with a rate
   each. Status 4 has the position as a whole number of fiftieths of a degree, rounded down.
-- Duty, current, current to brake with, speed, position; frames of other lengths than the maker's are taken for what
-  their bytes say, the missing ones 0 [inf: the firmware reads what its buffer holds].
-- A ping (17), and commands in a short buffer (8): firmware version (0; refused here, as its answer is long), values by
-  mask (50) where the answer fits one frame, alive (30). The host's number is in the request.
+- Duty, current, current to brake with, speed, position. [inf] A frame that is too short changes nothing (the firmware
+  takes whatever its buffer holds).
+- A ping (17), the angle of the encoder (56), and commands in a short buffer (8): values by mask (50) where the answer
+  fits one frame, alive (30). The number of who asks is in the request.
 - The position controller: proportional, and the derivative of the error behind a low pass of some 4.5 ms (1 kHz, 0.2),
   the shorter way round. Its owner has tuned it so, with `P PID Kd Proc` at 0, and an integrator that makes up for
   friction [inf].
 - Faults: the motor is let go and commands are ignored until the fault has been over for 0.5 s. After that the next
   command is obeyed.
+- The encoder may see the shaft through a gear. What it says of its angle comes round each turn of the encoder.
 - The time-out: nothing that moves the motor was heard for so long, then a braking current, 0 as it comes, until
   something is. 0 ms: never. Alive feeds it, too. The kill switch: the same, at once, and commands are ignored.
 - An absolute encoder knows its angle when power comes; else the position begins at 0 where it stands [inf].
@@ -27,7 +28,7 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from config.drives.vesc import VescDrive as VescConfig
 from sim.bus import Frame
@@ -36,7 +37,7 @@ from sim.drives.drive import Cause, Mounting
 from sim.drives.servo import AT_REST_TURNS, AT_REST_TURNS_S, STEP_S, TURN_RAD, Law, Limp, Load, Spin, Torque
 
 SET_DUTY, SET_CURRENT, SET_BRAKE, SET_RPM, SET_POS, SHORT_BUFFER = 0, 1, 2, 3, 4, 8
-STATUS, STATUS_4, PING, PONG, STATUS_5 = 9, 16, 17, 18, 27
+STATUS, STATUS_4, PING, PONG, STATUS_5, ROTOR_POSITION = 9, 16, 17, 18, 27, 56
 EVERYBODY = 255
 GET_VALUES_SELECTIVE, ALIVE = 50, 30
 ABS_OVER_CURRENT, OVER_TEMP_MOTOR, ENCODER_SLIP = 4, 6, 30
@@ -48,10 +49,8 @@ SHORT = 6
 STIFFNESS_1_S = 110.0
 """How its owner tuned it: the frequency of the position controller on the load [rad/s] [inf]."""
 FILTER_S = 4.5e-3
-RAMP = 50.0
-"""How fast it reaches a speed [rev/s²] [inf]."""
-NO_MOTOR_C = -200.0
-"""[inf] What a motor without a temperature sensor is said to have."""
+RAMP, TOP = 50.0, 20.0
+"""How fast it reaches a speed [rev/s²], and the highest [rev/s] [inf]."""
 
 
 @dataclass
@@ -61,6 +60,7 @@ class Settings:
     Attributes:
         controller_id: on the bus.
         absolute: whether its encoder knows its angle when power comes.
+        gear: turns of its shaft for one of its encoder.
         timeout_ms: silence after which it lets go; 0 for never.
         position_hz, others_hz: rates of the two sets of status; 0 for none.
         pole_pairs: turns of the field for one of the shaft.
@@ -70,6 +70,7 @@ class Settings:
 
     controller_id: int = 1
     absolute: bool = True
+    gear: float = 1.0
     timeout_ms: int = 0
     position_hz: int = 200
     others_hz: int = 5
@@ -83,12 +84,14 @@ class PositionController:
     """Proportional and derivative on the error, the shorter way round, behind a low pass.
 
     Attributes:
-        target: where to [rev], in the turn that a command names.
+        target: where to [rev], in any turn of the encoder.
+        turn: of the encoder [rev].
         stiffness_nm, damping_nm_s: see `Settings`.
     """
 
     def __init__(self, target: float, settings: Settings) -> None:
         self.target = target
+        self.turn = settings.gear
         self.stiffness_nm, self.damping_nm_s = settings.stiffness_nm, settings.damping_nm_s
         self.rests = False
         self._before: float | None = None
@@ -96,7 +99,7 @@ class PositionController:
 
     def speed(self, load: Load, time_ns: int, position: float, speed: float) -> float:
         """Speed after a step of its torque."""
-        error = (self.target - position + 0.5) % 1.0 - 0.5
+        error = (self.target - position + 0.5 * self.turn) % self.turn - 0.5 * self.turn
         change = 0.0 if self._before is None else (error - self._before) / STEP_S
         self._before = error
         self._change += (change - self._change) * STEP_S / FILTER_S
@@ -167,8 +170,7 @@ class VescDrive(ServoDrive):
 
     def twin(self, now_ns: int, seed: int) -> VescDrive:
         """Another controller with its number, from `now_ns` on, which counts from zero."""
-        settings = Settings(self.settings.controller_id, position_hz=self.settings.position_hz)
-        return VescDrive(settings, start_ns=now_ns, seed=seed, counted=0.0)
+        return VescDrive(replace(self.settings), start_ns=now_ns, seed=seed, counted=0.0)
 
     # -- what happens to it --------------------------------------------------------------------------
 
@@ -182,18 +184,9 @@ class VescDrive(ServoDrive):
         self.fault = 0
         self.timed_out = self.killed = False
         self._coast()
-        first, second = (1_000_000_000 // rate if rate else 0 for rate in (self._rate_1, self._rate_2))
-        self.every("status 1", first, lambda: self.say(self._frame(STATUS_4, self._status_4())))
-        self.every("status 2", second, self._tell_others)
+        self.every("rate 1", _period_ns(self.settings.position_hz), self._tell_position)
+        self.every("rate 2", _period_ns(self.settings.others_hz), self._tell_others)
         self._feed_timeout()
-
-    @property
-    def _rate_1(self) -> int:
-        return self.settings.position_hz
-
-    @property
-    def _rate_2(self) -> int:
-        return self.settings.others_hz
 
     def release(self) -> None:
         """Coast, as when somebody said so in VESC Tool."""
@@ -255,8 +248,10 @@ class VescDrive(ServoDrive):
             if how == 0 and answer is not None and len(answer) <= SHORT:
                 head = bytes((self.settings.controller_id, 1))
                 self.reply(Frame(SHORT_BUFFER << 8 | host, head + answer, extended=True))
-        elif packet in (SET_DUTY, SET_CURRENT, SET_BRAKE, SET_RPM, SET_POS):
-            (number,) = struct.unpack(">i", frame.data[:4].ljust(4, b"\0"))
+        elif packet == ROTOR_POSITION:
+            self.reply(self._frame(ROTOR_POSITION, struct.pack(">i", int(self._degrees * 1e5))))
+        elif packet in (SET_DUTY, SET_CURRENT, SET_BRAKE, SET_RPM, SET_POS) and len(frame.data) >= 4:
+            (number,) = struct.unpack(">i", frame.data[:4])
             self._feed_timeout()
             if not self.fault and not self.killed:
                 self._obey(packet, number)
@@ -272,20 +267,20 @@ class VescDrive(ServoDrive):
     def _law(self, packet: int, number: int) -> Law:
         settings = self.settings
         if packet == SET_POS:
-            target = self.origin + number / 360e6
+            target = self.origin + number / 360e6 * settings.gear
             law = self.shaft.law
             if isinstance(law, PositionController):
                 law.target = target
                 return law
             return PositionController(target, settings)
         if packet == SET_RPM:
-            return Spin(number / settings.pole_pairs / 60.0, RAMP)
+            return Spin(_bounded(number / settings.pole_pairs / 60.0), RAMP)
         if packet == SET_CURRENT and number:
             return Torque(torque_nm=number * 1e-3 * settings.nm_per_ampere)
         if packet == SET_BRAKE and number:
             return Spin(0.0, abs(number) * 1e-3 * settings.nm_per_ampere / self.shaft.load.inertia_kg_m2 / TURN_RAD)
         if packet == SET_DUTY:
-            return Spin(number / 100_000 * 20.0, RAMP)
+            return Spin(_bounded(number / 100_000 * TOP), RAMP)
         return Limp()
 
     def _does(self, command: int, data: bytes) -> bytes | None:
@@ -313,11 +308,14 @@ class VescDrive(ServoDrive):
 
     @property
     def _degrees(self) -> float:
-        return math.fmod(self.counted % 1.0 * 360.0, 360.0)
+        return self.counted / self.settings.gear % 1.0 * 360.0
 
     def _status_4(self) -> bytes:
         tenths = int(self.celsius * 10.0)
         return struct.pack(">hhhh", tenths, tenths, 0, int(self._degrees * 50.0))
+
+    def _tell_position(self) -> None:
+        self.say(self._frame(STATUS_4, self._status_4()))
 
     def _tell_others(self) -> None:
         watts = self.shaft.torque_nm * self.shaft.speed
@@ -326,3 +324,11 @@ class VescDrive(ServoDrive):
         self.say(self._frame(STATUS, struct.pack(">ihh", erpm, int(max(min(ampere, 3e3), -3e3) * 10.0), 0)))
         tachometer = round(self.counted * self.settings.pole_pairs * 6)
         self.say(self._frame(STATUS_5, struct.pack(">ihh", tachometer, int(self.supply_v * 10.0), 0)))
+
+
+def _period_ns(rate_hz: int) -> int:
+    return 1_000_000_000 // rate_hz if rate_hz else 0
+
+
+def _bounded(turns_s: float) -> float:
+    return max(-TOP, min(TOP, turns_s))

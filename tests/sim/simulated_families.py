@@ -15,7 +15,7 @@ from functools import partial
 from drive_bench import DriveBench, text
 
 from sim.bus import Frame
-from sim.drives import damiao, myactuator, odrive, robstride
+from sim.drives import damiao, myactuator, odrive, robstride, vesc
 from sim.drives.cia402 import Cia402Drive
 from sim.drives.drive import Drive
 from sim.drives.mks import MksDrive
@@ -48,6 +48,7 @@ class Family:
     arm: str  # an arm file whose first joint has such a drive with number 1
     make: Callable[..., Drive]  # a drive that stands at some turns and counts them; has options beside that
     mounted: dict[str, str] = field(default_factory=dict, kw_only=True)  # options of a `Mounting` that make it this one
+    where_mounted: Ask | None = field(default=None, kw_only=True)  # its `where` then, if that comes round each turn
     enable: Callable[[float], Frames]  # lets it hold where it stands, which is told it [rev]
     go: Callable[[float], Frames]  # sends it to where it counts so much [rev], with `TOP`
     stop: Frames  # brakes it, and it goes on holding
@@ -489,6 +490,53 @@ def _robstride(node: int, *, planner: bool) -> Family:
     )
 
 
+def vescs(node: int) -> Family:
+    """VESC (comm_can.c and commands.c in vedderb/bldc at b9d287b3), its encoder behind a gear of 16."""
+    gear, host = 16, 0x80 + node
+
+    def told(packet: int, number: int) -> str:
+        return f"{packet << 8 | node:08X}# {number.to_bytes(4, 'big', signed=True).hex(' ')}"
+
+    def asked(mask: str) -> str:
+        return f"{8 << 8 | node:08X}# {host:02X} 00 32 {mask}"
+
+    def make(turns: float, *, seed: int = 0, absolute: bool = False, timeout_ms: int = 0) -> Drive:
+        # critically damped at 12 rad/s
+        tuned = {"stiffness_nm": 144e-3 * TURN_RAD, "damping_nm_s": 24e-3 * TURN_RAD}
+        settings = vesc.Settings(node, absolute, gear, timeout_ms, position_hz=0, others_hz=0, **tuned)
+        return vesc.VescDrive(settings, turns=turns, load=LOAD, seed=seed)
+
+    def go(turns: float) -> Frames:
+        return (told(4, round(turns / gear % 1.0 * 360e6)),)
+
+    def place(data: bytes, turn: float) -> float:
+        return math.remainder(int.from_bytes(data, "big") / 360e5, 1.0) * turn
+
+    def status(bench: DriveBench) -> str:
+        return " ".join(bench.ask(asked(mask))[0][-2:] for mask in ("00 00 80 00", "00 20 00 00"))
+
+    return Family(
+        arm="vesc6",
+        make=make,
+        enable=go,
+        go=go,
+        stop=(told(2, 20_000),),
+        let_go=(told(1, 0),),
+        clear=(),
+        where=(told(56, 0), partial(place, turn=gear)),
+        where_mounted=(told(56, 0), partial(place, turn=1)),
+        status=status,
+        says=words("00 00", "00 00", "1E 00", "06 00", "04 00", "00 00", "00 01"),
+        obeys_limp=True,
+        overshoots=0.3,
+        clears_ms=600,
+        ends_by_itself=("stall", "temperature", "current"),
+        watched={"timeout_ms": SILENCE_MS},
+        feed=f"{8 << 8 | node:08X}# {host:02X} 00 1E",
+        feeds_not=asked("00 00 80 00"),
+    )
+
+
 def cybergear(node: int) -> Family:
     """A Xiaomi CyberGear: a position loop within a limit of speed."""
     return _robstride(node, planner=False)
@@ -516,4 +564,5 @@ FAMILIES = (
     myactuators,
     cybergear,
     robstrides,
+    vescs,
 )

@@ -59,9 +59,17 @@ def command(rig: Rig, drive: Drive) -> tuple[float, float]:
     read = drive.reads([frame_of(text)[0].data for text in rig.sends("lead")])
     config = rig.config
     return (
-        config.direction * read.rad / config.ratio - config.zero_rad,
+        seen(rig, drive, config.direction * read.rad / config.ratio - config.zero_rad),
         (read.rad_s if drive.plans else config.direction * read.rad_s) / config.ratio,
     )
+
+
+def seen(rig: Rig, drive: Drive, angle_rad: float) -> float:
+    """An angle of the joint; where it comes round each turn of the drive, the one that is nearest to its middle."""
+    if not drive.comes_round:
+        return angle_rad
+    middle_rad = (rig.config.lower_rad + rig.config.upper_rad) / 2
+    return middle_rad + math.remainder(angle_rad - middle_rad, 2 * math.pi / rig.config.ratio)
 
 
 def test_every_family_with_golden_frames_has_its_laws() -> None:
@@ -213,7 +221,7 @@ def test_where_there_is_no_room_nothing_is_said(kind: Kind) -> None:
         getattr(rig.codec, function)(rig.record, 0, rig.shared[0])
     assert not rig.codec.stop(rig.record, 0, rig.shared[0])
     assert (rig.record["outgoing"]["frames"], rig.axis["reply"]["questions"]) == (0, 0)
-    assert len(rig.sends("ask_position")) == 1, "it has not been asked yet"
+    assert len(rig.sends("ask_position")) == DRIVES[kind].is_asked, "it has not been asked yet"
 
 
 @every_drive
@@ -241,7 +249,7 @@ def test_what_a_drive_says_of_itself_is_the_joints(
     rig = rig_of(kind, mount)
     config, said = rig.config, DRIVES[kind].says(rad, rad_s, nm, celsius)
     exactly = {
-        "position_rad": config.direction * said.rad / config.ratio - config.zero_rad,
+        "position_rad": seen(rig, DRIVES[kind], config.direction * said.rad / config.ratio - config.zero_rad),
         "velocity_rad_s": config.direction * said.rad_s / config.ratio,
         "effort_nm": config.direction * said.nm * config.ratio,
         "temperature_c": said.celsius,
@@ -277,7 +285,7 @@ def test_whatever_comes_only_a_position_is_taken_for_one_and_no_number_is_none(
     rig = Rig.named(*kind)
     rig.takes(frame_id, content, form)
     told = rig.told()
-    own_form = EXTENDED if family in ("zdt", "robstride") else STANDARD
+    own_form = EXTENDED if family in ("zdt", "robstride", "vesc") else STANDARD
     assert ("position_rad" in told) == (form == own_form and drive.is_position(frame_id, content))
     assert all(math.isfinite(value) for value in told.values())
     assert told.get("status", 0) & ~KNOWN_STATUS == 0

@@ -1,7 +1,7 @@
 """Bytes of the questions of `rtarm drives`, against those of the makers: `settings` in `tests/golden/FAMILY.yaml`.
 
-A vector has the `row` of the family's table (or `store`, its hook), what is asked and heard in turn (`talk`), and what
-that tells; with `writes` it is the row's write of that value.
+A vector has the `row` of the family's table (or `store`, its hook), what is asked (null: nothing, it listens) and heard
+in turn (`talk`), and what that tells; with `writes` it is the row's write of that value.
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ def test_a_setting_is_asked_and_told(family: str, vector: dict[str, Any]) -> Non
     for sent, heard in vector["talk"]:
         assert ended is None, f"it says {sent} no more"
         packets = [frame for frame, _ in question.packets(first=True)]
-        assert [text_of(f.id, f.kind, f.data, len(f.data)) for f in packets] == [sent_text(sent)]
+        assert [text_of(f.id, f.kind, f.data, len(f.data)) for f in packets] == (
+            [] if sent is None else [sent_text(sent)]
+        )
         answers = [question.receive(frame_of(text)[0], True) for text in heard]
         try:
             question = part.send(next((answer for answer in answers if answer is not None), None))
