@@ -85,11 +85,11 @@ def scan(
 ) -> None:
     """Find CAN adapters, the bit rate of the bus behind each, and the drives on it; propose an arm file.
 
-    No drive that rtarm knows moves: ZDT and RobStride drives are asked what they are, ODrives and CANopen drives are
-    overheard. What MyActuator, MKS, Damiao and silent CANopen drives are asked might mean something else to others, so
-    they are asked with --family only. Take a VESC of number 0 with firmware from before 2019 off the bus first: to it a
-    question can be a current. Adapters that another program uses are left alone, and so are serial ports that may be
-    anything, unless --port names them. The exit code is 0 when a drive answers.
+    No drive that rtarm knows moves: ZDT and RobStride drives are asked what they are, ODrives, VESCs and CANopen drives
+    are overheard. What MyActuator, MKS, Damiao and silent VESC and CANopen drives are asked might mean something else
+    to others, so they are asked with --family only. Take a VESC of number 0 with firmware from before 2019 off the bus
+    first: to it a question can be a current. Adapters that another program uses are left alone, and so are serial ports
+    that may be anything, unless --port names them. The exit code is 0 when a drive answers.
 
     Example: [bold]rtarm scan --port /dev/ttyUSB0[/bold]
     """

@@ -25,6 +25,8 @@ UNHEARD_OF = {
     "robstride": "Which RobStride it is, and in which mode it runs, is not told: docs/hardware/drive-families.md.",
     "myactuator": "Whether a MyActuator motor's encoder is absolute is not told: docs/hardware/drive-families.md.",
     "damiao": "Which Damiao motor it is, and in which mode it runs, is not asked: docs/hardware/drive-families.md.",
+    "vesc": "Whether a VESC's encoder is absolute, and at which rates it sends what, is not told: "
+    "docs/hardware/drive-families.md.",
     "mks": "An MKS drive forgets its angle without power: docs/hardware/drive-families.md.",
 }
 """What a family's arm file needs beside what is heard of a drive."""

@@ -6,10 +6,10 @@ Some families have no such question; they are asked only where a person says tha
 
 What the others make of a question to everybody (their protocols as in docs/hardware/drive-families.md):
 
-| question | MKS, Damiao, MyActuator, CiA 402 | ODrive | RobStride | ZDT |
-|---|---|---|---|---|
-| ZDT: address << 8 (extended), 1F 6B | - | - | motor 0 says its id | its firmware |
-| RobStride: type 0 from FD (extended) | - | - | its id | address 253: no function |
+| question | MKS, Damiao, MyActuator, CiA 402 | ODrive | RobStride | ZDT | VESC |
+|---|---|---|---|---|---|
+| ZDT: address << 8 (extended), 1F 6B | - | - | motor 0 says its id | its firmware | number 0: see below |
+| RobStride: type 0 from FD (extended) | - | - | its id | address 253: no function | packet 253: none |
 
 "-": not its kind of identifier. A DM4310 takes no extended frame (umeow0716/damiao_firmware, the filters in
 board_mcan_config.c), nor does ODrive 0.5.6 (odriverobotics/ODrive, odrive_can.cpp) unless `is_extended` is set, which
@@ -18,9 +18,9 @@ question as commands, were its heartbeats not heard before. A moteus reads nothi
 (mjbots/mjlib, micro_server.cc). What a RobStride motor is asked, and says, is as in the maker's SampleProgram
 (Robstride01.cpp) and the CyberGear's manual (belovictor/cybergear-docs, 4.1.1).
 
-A VESC, which rtarm does not lead either, hears an extended identifier as command << 8 | number (vedderb/bldc,
-comm_can.c) and looks at no length: with number 0 each address of a ZDT question is a command to it, 1 a current. So
-17 comes first, which is its ping (since 2019): `rtarm.scan.search.a_vesc_answers`.
+A VESC hears an extended identifier as packet << 8 | number (`rtloop.drives.vesc_protocol`) and looks at no length: with
+number 0, which rtarm does not lead, each address of a ZDT question is a command to it, 1 a current. So 17 comes first,
+which is its ping (since 2019): `rtarm.scan.search.a_vesc_answers`.
 
 Why others are asked by name only:
 
@@ -34,6 +34,9 @@ Why others are asked by name only:
   and 9A 00 turns motor 1; nor do motors hear it that filter identifiers (the maker's Motion Protocol V4.2, 20 with
   index 02).
 
+- VESC, a ping to each number: packets of a ZDT drive of address 17, which it does not understand, and RobStride's
+  question for the id (type 0); commands to ODrives with extended numbers 136 to 139.
+
 Those ODrives would be overheard, but for one whose heartbeat is turned off.
 """
 
@@ -46,12 +49,14 @@ from config.drives.cia402 import SDO_REPLY
 from config.drives.damiao import HIGHEST_ID, REGISTERS_ID
 from config.drives.myactuator import HIGHEST_ID as HIGHEST_MYACTUATOR
 from config.drives.myactuator import REPLY, REQUEST
+from config.drives.vesc import HIGHEST_NUMBER, HOST_BIT, PACKET_BIT
 from rtarm.scan.heard import Heard
 from rtarm.scan.wires import Frame
 from rtloop.drives import damiao_protocol as damiao
 from rtloop.drives import mks_protocol as mks
 from rtloop.drives import myactuator_protocol as myactuator
 from rtloop.drives import sdo
+from rtloop.drives import vesc_protocol as vesc
 from rtloop.drives.cia402_protocol import DEVICE_TYPE, PROFILE
 from rtloop.drives.errors import error_words
 from rtloop.drives.numbers import Values, packed, unpacked
@@ -127,6 +132,20 @@ def _cia402(frame: Frame) -> Heard | None:
     return Heard("cia402", called, node, f"profile {profile}", {"node_id": node})
 
 
+def _vesc(frame: Frame) -> Heard | None:
+    packet, host = divmod(frame.id, 1 << PACKET_BIT)
+    if not frame.extended or packet != vesc.PONG or len(frame.data) != vesc.PONG_BYTES:
+        return None
+    number = unpacked(frame.data, vesc.SENDER)
+    if host != number | HOST_BIT or not 1 <= number <= HIGHEST_NUMBER:
+        return None
+    return Heard("vesc", "VESC", number, "is there", {"controller_id": number})
+
+
+def _vesc_question(number: int) -> Frame:
+    return Frame(vesc.PING << PACKET_BIT | number, packed({vesc.SENDER: number | HOST_BIT}, vesc.PING_BYTES))
+
+
 def _mks_question(can_id: int) -> Frame:
     return Frame(can_id, mks.sealed(can_id, bytes((mks.READ_STATE,))), extended=False)
 
@@ -176,6 +195,12 @@ NAMED = (
         frozenset((1_000_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000)),
         tuple(map(_cia402_question, range(1, 128))),
         _cia402,
+    ),
+    Question(
+        "vesc",
+        frozenset((500_000, 1_000_000, 250_000, 125_000)),
+        tuple(map(_vesc_question, range(1, HIGHEST_NUMBER + 1))),
+        _vesc,
     ),
 )
 BY_NAME = {question.family: question for question in (*EVERYBODY, *NAMED)}

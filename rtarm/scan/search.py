@@ -10,10 +10,12 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from config.drives.vesc import PACKET_BIT
 from rtarm.scan.heard import Heard, by_number
-from rtarm.scan.overheard import drive_of, overheard
+from rtarm.scan.overheard import drive_of, of_a_vesc, overheard
 from rtarm.scan.questions import BY_NAME, EVERYBODY, Question
 from rtarm.scan.wires import Frame, SlcanWire, Wire
+from rtloop.drives import vesc_protocol as vesc
 from rtloop.drives import zdt_registers as registers
 from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, split_packets
 
@@ -32,8 +34,6 @@ OVERHEARD_S = 1.1
 """So long is listened where drives speak by themselves: heartbeats a second apart are heard too."""
 BUSY_FRAMES = 2
 """Frames heard before anybody was asked that make a bus somebody else's."""
-VESC_PING, VESC_PONG = 17, 18
-"""Of a VESC, whose identifiers are command << 8 | number (vedderb/bldc, comm_can.c)."""
 VESC = (
     "A VESC of number 0 answers, to which questions to ZDT drives are commands, so nobody else was asked: give it "
     "another number with VESC Tool, or connect the drives alone, and scan again."
@@ -148,7 +148,7 @@ def may_have(family: str | None, bitrate: int) -> bool:
 def _listen(wire: Wire, patience_s: float) -> list[Frame]:
     """What ZDT drives say within that time; drives that speak by themselves are given more of it."""
     frames = wire.receive(patience_s)
-    if patience_s < OVERHEARD_S and any(map(drive_of, wire.standard)):
+    if patience_s < OVERHEARD_S and any(map(drive_of, (*wire.standard, *frames))):
         frames += wire.receive(OVERHEARD_S - patience_s)
     return frames
 
@@ -160,10 +160,12 @@ def _others_speak(wire: Wire, frames: list[Frame]) -> bool:
 
 def in_use(outcome: Outcome, bitrate: int | None, wire: Wire, frames: list[Frame]) -> Outcome:
     """Somebody speaks already: that is told, and nobody is asked."""
+    outcome.overheard = overheard((*wire.standard, *frames))
+    vescs = {drive.number for drive in outcome.overheard if drive.family == "vesc"}
+    frames = [frame for frame in frames if not of_a_vesc(frame, vescs)]
     addresses = sorted({frame.id >> 8 for frame in frames if frame.id < 0x10000})
     whose = f" (addresses {', '.join(map(str, addresses))})" if addresses else ""
     outcome.bitrate = bitrate
-    outcome.overheard = overheard(wire.standard)
     if outcome.overheard and not frames:
         outcome.notes.append(
             "Nobody was asked, since these drives were overheard: others that speak only when they are spoken to are "
@@ -205,8 +207,8 @@ def ask(wire: Wire, outcome: Outcome, bitrate: int, ends_s: float) -> None:
 
 def a_vesc_answers(wire: Wire, bitrate: int) -> bool:
     """Whether a VESC of number 0 is there: a ZDT question to address 17 is its ping, and the answer names who asked."""
-    pong = VESC_PONG << 8 | registers.ASK_FIRMWARE[0]
-    return any(frame.id == pong for frame in _ask_for_firmware(wire, (VESC_PING,), ROUND_BITS / bitrate + 0.001))
+    pong = vesc.PONG << PACKET_BIT | registers.ASK_FIRMWARE[0]
+    return any(frame.id == pong for frame in _ask_for_firmware(wire, (vesc.PING,), ROUND_BITS / bitrate + 0.001))
 
 
 def ask_family(wire: Wire, question: Question, bitrate: int, *, acknowledged: bool) -> list[Heard]:

@@ -60,11 +60,12 @@ def _verdict(entry: Report, outcome: Report) -> str:
     family = outcome["asked_family"]
     asked = f"drive of family {family}" if family else "ZDT or RobStride drive"
     menu = ", and that the port in a ZDT drive's menu is set to CAN" if family in (None, "zdt") else ""
-    only_named = "; MyActuator, MKS, Damiao and silent CANopen drives are asked with --family only"
+    only_named = "; MyActuator, MKS, Damiao and silent VESC and CANopen drives are asked with --family only"
     others = "; nobody else was asked" if family else only_named
     return (
-        f"no {asked} answers (asked at {rates} bit/s{baud}), and no heartbeat of an ODrive or a CANopen drive was "
-        f"heard: check the drives' power, the two CAN wires, 120 Ω at both ends{menu}{others} (docs/hardware/drives.md)"
+        f"no {asked} answers (asked at {rates} bit/s{baud}), and no ODrive, VESC or CANopen drive was "
+        f"overheard: check the drives' power, the two CAN wires, 120 Ω at both ends{menu}{others} "
+        "(docs/hardware/drives.md)"
     )
 
 

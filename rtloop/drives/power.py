@@ -14,7 +14,7 @@ crash costs no angle either. Without a proof everything stays as it would be wit
 | ODrive | none: an axis may be set to close its loop when power comes, and CANSimple does not tell whether it is |
 | VESC | none: nothing tells how long it has had power, and a target enables it |
 | MKS | none: it keeps every setting without power, and reports no uptime |
-| any with an absolute encoder | none is needed; MyActuator's is, before an arm goes on by itself: a target enables it (as a VESC, which has none) |
+| any with an absolute encoder | none is needed; MyActuator's is, before an arm goes on by itself: a target enables it |
 
 A count that begins where the power came gets its angle from a person or a homing run, in each control process. So the
 proof of these drives saves an angle over a silence, but not over the end of the process; ZDT's proof does both.

@@ -37,6 +37,7 @@ from rtloop.wire.refusal import WireRefused
 from rtloop.wire.tty import open_port
 from sim import faults
 from sim.arm import SimulatedArm
+from sim.drives.vesc import VescDrive
 
 USB = "/sys/devices/pci0000:00/usb1"
 READS = {0x1F, 0x42, 0x3A}
@@ -309,14 +310,33 @@ def test_what_is_no_heartbeat_is_nobodys(line: bytes) -> None:
     assert frame is None or drive_of(frame) is None
 
 
-@given(st.integers(0, 0x7FF), st.binary(max_size=8))
-def test_any_frame_is_a_drives_or_nobodys(identifier: int, data: bytes) -> None:
-    found = drive_of(Frame(identifier, data))
-    assert found is None or found.number in range(128)
+@given(st.integers(0, 0x1FFF), st.binary(max_size=8), st.booleans())
+def test_any_frame_is_a_drives_or_nobodys(identifier: int, data: bytes, extended: bool) -> None:
+    found = drive_of(Frame(identifier, data, extended))
+    assert found is None or found.number in range(253 if extended else 128)
 
 
-@pytest.mark.parametrize(("arm", "family", "called"), [("odrive6", "odrive", "ODrive axis")])
-def test_drives_that_speak_by_themselves_are_overheard_and_nobody_is_asked(arm: str, family: str, called: str) -> None:
+def test_a_status_of_a_vesc_is_known_and_no_packet_of_a_zdt_drive_is_one() -> None:
+    status = Frame(0x1001, bytes.fromhex("011AFC99000018F5"))  # tests/golden/vesc.yaml, captured
+    found = drive_of(status)
+    assert found is not None and (found.family, found.number, found.state) == ("vesc", 1, "power stage at 28 °C")
+    configuration = bytes.fromhex("42 21 15 19 02 02 02 00")  # the beginning of one in facts/zdt-emm-v5.md
+    for other in (
+        Frame(0x1001, configuration),
+        Frame(0x1001, status.data[:7]),
+        Frame(0x10FE, status.data),  # RobStride motor 16 to anybody
+        Frame(0x1001, status.data[:6] + b"\xff\xff"),
+    ):
+        assert drive_of(other) is None
+
+
+@pytest.mark.parametrize(
+    ("arm", "family", "called", "field"),
+    [("odrive6", "odrive", "ODrive axis", "node_id"), ("vesc6", "vesc", "VESC", "controller_id")],
+)
+def test_drives_that_speak_by_themselves_are_overheard_and_nobody_is_asked(
+    arm: str, family: str, called: str, field: str
+) -> None:
     port = VirtualPort(SimulatedArm(load_arm(arm)))
     wire = SlcanWire(port)
     wire.greet()
@@ -328,19 +348,29 @@ def test_drives_that_speak_by_themselves_are_overheard_and_nobody_is_asked(arm: 
     assert "6 drives speak by themselves at 1000000 bit/s" in shown(outcome) and called in shown(outcome)
     proposed = yaml.safe_load(proposal(entry))
     assert [joint["drive"] for joint in proposed["joints"]] == [
-        {"family": family, "node_id": number} for number in range(1, 7)
+        {"family": family, field: number} for number in range(1, 7)
     ]
+
+
+def as_they_come(arm: str, **overrides: Any) -> VirtualPort:
+    """The bus of an arm whose VESCs send nothing by themselves."""
+    sim = SimulatedArm(load_arm(arm, overrides=overrides))
+    for drive in sim.drives:
+        if isinstance(drive, VescDrive):
+            drive.settings.position_hz = drive.settings.others_hz = 0
+            drive.boot()
+    return VirtualPort(sim)
 
 
 def found_in(arm: str, family: str | None = None, **overrides: Any) -> tuple[VirtualPort, Outcome]:
     """What a scan finds of an arm of another family."""
-    port = VirtualPort(SimulatedArm(load_arm(arm, overrides=overrides)))
+    port = as_they_come(arm, **overrides)
     wire = SlcanWire(port)
     wire.greet()
     return port, search_slcan(wire, family)
 
 
-NAMED_ONLY = {"myactuator6": "myactuator", "mks6": "mks", "damiao6": "damiao", "cia402_6": "cia402"}
+NAMED_ONLY = {"myactuator6": "myactuator", "mks6": "mks", "damiao6": "damiao", "cia402_6": "cia402", "vesc6": "vesc"}
 
 
 @pytest.mark.parametrize(("arm", "family"), [("robstride6", None), ("robstride6", "robstride"), *NAMED_ONLY.items()])
@@ -386,6 +416,7 @@ def wire_to(port: VirtualPort, bitrate: int) -> SlcanWire:
         ("cia402_6", Frame(0x601, bytes.fromhex("2B17100064000000"), False)),  # heartbeat
         ("robstride6", Frame(0x0300AA01, bytes(8))),
         ("myactuator6", Frame(0x141, bytes.fromhex("A200000010270000"), False)),
+        ("vesc6", Frame(0x401, bytes.fromhex("055D4A80"))),  # a position; tests/golden/vesc.yaml
     ],
 )
 def test_a_command_is_seen_in_the_state_of_a_drive(arm: str, frame: Frame) -> None:
@@ -407,7 +438,7 @@ def test_what_everybody_is_asked_has_extended_identifiers_of_type_0() -> None:
     assert frames and all(frame.extended and frame.id < 0x10000 and not any(frame.data) for frame in frames)
 
 
-FAMILIES = ("episode1", "mks6", "damiao6", "odrive6", "cia402_6", "robstride6", "myactuator6")
+FAMILIES = ("episode1", "mks6", "damiao6", "odrive6", "cia402_6", "robstride6", "myactuator6", "vesc6")
 HEARD_BY = [(question, arm) for question in EVERYBODY for arm in FAMILIES]
 HEARD_BY += [(question, arm) for question in NAMED for arm, family in NAMED_ONLY.items() if family == question.family]
 
@@ -417,7 +448,7 @@ def test_a_question_changes_nothing_of_any_drive(question: Question, arm: str) -
     """Drives that have just got power; those that are asked by name only hear their own family's question."""
     config = load_arm(arm)
     family = config.joints[0].drive.family
-    port = VirtualPort(SimulatedArm(config))
+    port = as_they_come(arm)
     wire = wire_to(port, config.bus.bitrate)
     before = [state_of(drive) for drive in port.sim.drives]
     heard = search.ask_family(wire, question, config.bus.bitrate, acknowledged=True)
@@ -432,6 +463,7 @@ def test_a_question_changes_nothing_of_any_drive(question: Question, arm: str) -
         ("robstride6", {"motor_id": 0xFE}),
         ("mks6", {"can_id": 0x100}),  # the question to ZDT drive 1 has these bits, in an extended identifier
         ("odrive6", {"node_id": 8}),
+        ("vesc6", {"controller_id": 31}),  # the function of a ZDT question
     ],
 )
 def test_no_number_makes_a_question_to_everybody_a_command(arm: str, numbers: dict[str, int]) -> None:
@@ -454,10 +486,10 @@ def test_who_must_be_named_is_not_asked_otherwise(arm: str) -> None:
     assert not outcome.answered
     asked = {frame for line in port.written.split(b"\r") if (frame := standard_frame_of(line)) is not None}
     assert asked == set()
-    assert "MyActuator, MKS, Damiao and silent CANopen drives are asked with --family only" in shown(outcome)
+    assert "MyActuator, MKS, Damiao and silent VESC and CANopen drives are asked with --family only" in shown(outcome)
 
 
-@pytest.mark.parametrize("family", ["myactuator", "mks", "damiao", "cia402", "robstride", "zdt"])
+@pytest.mark.parametrize("family", ["myactuator", "mks", "damiao", "cia402", "vesc", "robstride", "zdt"])
 def test_who_is_named_is_asked_alone_at_rates_that_it_can_have(family: str) -> None:
     port = bus([faults.Silent(f"joint{n}", 0.0) for n in range(1, 7)])
     wire = SlcanWire(port)
