@@ -46,6 +46,7 @@ def test_the_known_arms() -> None:
     assert known_arms() == [
         *("cia402_6", "damiao6", "damiao6_pv", "episode1", "mks6", "mock", "myactuator6", "odrive6", "robstride6"),
         "robstride6_position",
+        "vesc6",
     ]
     for name in known_arms():
         assert load_arm(name).name == name

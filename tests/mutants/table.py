@@ -81,6 +81,7 @@ LEAVES = (
     drive("robstride"),
     drive("myactuator"),
     drive("cia402"),
+    drive("vesc"),
 )
 
 _STOPS_INSIDE = (

@@ -29,7 +29,7 @@ from sim import faults
 
 JOINT = 1
 GEARED = ("odrive6", "mks6", "cia402_6")
-WITH_GEAR_INSIDE = ("damiao6", "damiao6_pv", "robstride6", "robstride6_position", "myactuator6")
+WITH_GEAR_INSIDE = ("damiao6", "damiao6_pv", "robstride6", "robstride6_position", "myactuator6", "vesc6")
 ARMS = GEARED + WITH_GEAR_INSIDE
 TRUE_LOWER_DEG, TRUE_UPPER_DEG = -60.0, 60.0
 

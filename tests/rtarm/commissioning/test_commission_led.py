@@ -20,8 +20,12 @@ from shm.words import Mode, Request
 from sim import faults
 from sim.drives.servo import Hold
 
-ARMS = ("odrive6", "mks6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position", "myactuator6", "cia402_6")
+ARMS = (
+    *("odrive6", "mks6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position", "myactuator6", "cia402_6"),
+    "vesc6",
+)
 OFF_MIDDLE_DEG = 15.0
+OBEY_LIMP = (("myactuator6", "limp"), ("vesc6", "limp"))
 PROVING = ("damiao6", "damiao6_pv", "robstride6", "robstride6_position", "myactuator6", "cia402_6")
 Plant = Callable[[Any], None]
 
@@ -202,10 +206,10 @@ def test_a_protection_that_trips_at_the_clamp_is_cleared_after_a_yes_alone() -> 
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [(name, kind) for name in ARMS for kind in ("silent", "limp") if (name, kind) != ("myactuator6", "limp")],
+    [(name, kind) for name in ARMS for kind in ("silent", "limp") if (name, kind) not in OBEY_LIMP],
 )
 def test_a_stall_that_something_else_ended_is_none(name: str, kind: str) -> None:
-    """A MyActuator motor that is let go is not: its next target enables it."""
+    """A motor that is let go is not, where its next target enables it."""
     rig = Bench(one_joint(name))
     assert rig.sim is not None
     fault = faults.Silent("joint2", 0.3, 1.5) if kind == "silent" else faults.Disabled("joint2", 0.3)

@@ -16,6 +16,7 @@ ARMS = (
     "odrive6",
     "robstride6",
     "robstride6_position",
+    "vesc6",
 )
 STANDS_RAD = 0.03
 SETTLING_S = 0.5

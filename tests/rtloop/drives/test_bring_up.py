@@ -17,6 +17,7 @@ NUMBER = {
     "myactuator6": "motor_id 3",
     "robstride6": "motor_id 3",
     "robstride6_position": "motor_id 3",
+    "vesc6": "controller_id 3",
 }
 
 

@@ -30,6 +30,7 @@ ARMS: dict[str, dict[str, Any]] = {
     "robstride position": {},
     "myactuator": {},
     "cia402": {},
+    "vesc": {},
 }
 FILES = {
     "zdt": "episode1",
@@ -62,6 +63,7 @@ LEADS = {
     "robstride position": two(0x1200FD02, 0x1200FD02),
     "myactuator": one(0x142, STANDARD, 8),
     "cia402": one(0x202, STANDARD, 6),
+    "vesc": one(0x402, EXTENDED, 4),
 }
 STOPS = {
     "zdt": one(0x200, EXTENDED, 4, JOINT),
@@ -74,6 +76,7 @@ STOPS = {
     "robstride position": two(0x1200FD02, 0x1200FD02, stops=JOINT),
     "myactuator": one(0x142, STANDARD, 8, JOINT),
     "cia402": one(0x202, STANDARD, 6, JOINT),
+    "vesc": one(0x402, EXTENDED, 4, JOINT),
 }
 ASKS_POSITION = {
     "zdt": (one(0x200, EXTENDED, 2), "36 6B"),
@@ -86,6 +89,7 @@ ASKS_POSITION = {
     "robstride position": (one(0x1100FD02, EXTENDED, 8), "19 70 00 00 00 00 00 00"),
     "myactuator": (one(0x142, STANDARD, 8), "92 00 00 00 00 00 00 00"),
     "cia402": (one(0x080, STANDARD, 0), ""),
+    "vesc": ([], ""),
 }
 ASKS_STATUS = {
     "zdt": [(0x200, "3A 6B"), (0x200, "3A 6B")],
@@ -95,6 +99,7 @@ ASKS_STATUS = {
     "robstride": [(0x1200FD02, "0A 70 00 00 00 00 00 00"), (0x1100FD02, "1C 70 00 00 00 00 00 00")],
     "myactuator": [(0x142, "9A 00 00 00 00 00 00 00"), (0x142, "9C 00 00 00 00 00 00 00")],
     "cia402": [],
+    "vesc": [(0x802, "82 00 32 00 00 80 00"), (0x802, "82 00 32 00 20 00 00")],
 }
 """In even turns and in odd ones, of a drive that is not led."""
 every_arm = pytest.mark.parametrize("name", ARMS)
@@ -164,12 +169,12 @@ def test_a_question_for_the_position_is_noted_where_it_is_sent(name: str) -> Non
     frames, data = ASKS_POSITION[name]
     drive = Drive(name)
     assert (drive.sends("ask_position"), drive.said()) == (frames, data)
-    assert drive.axis["reply"]["questions"] == 1
+    assert drive.axis["reply"]["questions"] == len(frames)
     drive.memory["timing"]["cycle"] += 1
     drive.memory["outgoing"]["length"] = len(drive.loop[0]["outgoing"]["bytes"]) - 1
     drive.memory["outgoing"]["frames"] = len(drive.loop[0]["outgoing"]["ids"])
     drive.module.ask_position(drive.loop[0], JOINT, drive.shared[0])
-    assert drive.axis["reply"]["questions"] == 1
+    assert drive.axis["reply"]["questions"] == len(frames)
 
 
 @pytest.mark.parametrize("name", ASKS_STATUS)

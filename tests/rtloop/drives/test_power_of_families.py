@@ -41,7 +41,7 @@ ARMED_ARMS = ("cia402_6", "damiao6", "damiao6_pv", "robstride6", "robstride6_pos
 SELF_ARMING_ARMS = ("cia402_6", "damiao6", "robstride6")
 """Those whose mode is the one that power brings: in another one an armed drive is refused anyhow."""
 PROVING_ARMS = ("myactuator6", *ARMED_ARMS)
-OTHER_ARMS = ("odrive6", "mks6")
+OTHER_ARMS = ("odrive6", "mks6", "vesc6")
 START_RAD = [0.3, -0.2, 0.4, 0.5, -0.6, 0.7]
 KNOWN_WITHIN_RAD = 0.01
 WAKING_S = 0.6

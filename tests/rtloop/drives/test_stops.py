@@ -19,7 +19,7 @@ from sim.bus import Frame
 from sim.faults import Disabled
 
 TOLD_A_PLACE = pytest.mark.parametrize(
-    "name", ["odrive6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position"]
+    "name", ["odrive6", "damiao6", "damiao6_pv", "robstride6", "robstride6_position", "vesc6"]
 )
 
 
@@ -41,7 +41,7 @@ def test_a_drive_that_is_not_heard_any_more_is_not_taken_back(name: str) -> None
     joint = int(np.argmax(np.abs(speeds)))
     assert abs(speeds[joint]) > 0.5
     lost_ns = arm.sim.now_ns
-    arm.sim.drives[joint].reply = lambda *answer, **options: None
+    arm.sim.drives[joint].say = lambda *answer, **options: None
     arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=0.5)
     arm.cycles(int(0.5e9 / arm.period_ns))
     _, position_rad, _ = sampled_truth(arm.sim, joint, lost_ns, arm.sim.now_ns)
@@ -67,7 +67,7 @@ def test_nothing_is_told_where_nobody_knows_the_place(name: str, unknown: tuple[
     assert (cycle.loop[0]["outgoing"]["frames"] == 0) == (unknown is not None)
 
 
-@pytest.mark.parametrize("name", ["odrive6", "mks6", "damiao6", "cia402_6", "myactuator6", "robstride6"])
+@pytest.mark.parametrize("name", ["odrive6", "mks6", "damiao6", "cia402_6", "myactuator6", "robstride6", "vesc6"])
 @pytest.mark.parametrize(("bent_rad", "kept_rad"), [(0.015, 0.015), (-0.015, -0.015), (1.0, 0.0)])
 def test_a_joint_that_is_referenced_is_still_told_what_it_holds(name: str, bent_rad: float, kept_rad: float) -> None:
     """A load keeps a drive from its target: to command where it stands would let it sink by as much again."""

@@ -114,6 +114,7 @@ CASES = {
         wants=200,
         stubborn=lame_heartbeat,
     ),
+    "vesc": Case("vesc6", {"fault": "none", "let_go_by": "nothing", "power_stage_c": 30.0, "motor_c": 30.0}),
     "odrive": Case("odrive6", {"firmware": "0.5", "hardware": None, "axis_state": "idle"}),
 }
 WRITTEN = [family for family, case in CASES.items() if case.setting]
