@@ -35,14 +35,16 @@ WIDEST_DEG = 36_000.0
 def by_its_motor(arm: ArmConfig, joint: int) -> dict[str, Any]:
     """The arm file of a joint alone as a calibration brings it up, see the head of this file.
 
-    It may go as far either way as its range in the file is wide. An absolute encoder is passed over, since what it
-    tells would be held against limits.
+    It may go as far either way as its range in the file is wide, and as its drive counts. An absolute encoder is passed
+    over, since what it tells would be held against limits.
     """
     values, config = alone(arm, joint), arm.joints[joint]
     most_turns = config.drive.highest_turns
     reach_deg = min(config.upper_deg - config.lower_deg, WIDEST_DEG)
     if most_turns is not None:
         reach_deg = min(reach_deg, most_turns * 360.0 / config.ratio)
+    if config.drive.most_of_a_turn is not None:
+        reach_deg = min(reach_deg, config.drive.most_of_a_turn * 180.0 / config.ratio)
     values["joints"][0] |= {"direction": 1, "zero_deg": 0.0, "lower_deg": -reach_deg, "upper_deg": reach_deg}
     if hasattr(config.drive, "encoder"):
         values["joints"][0]["drive"]["encoder"] = "incremental"

@@ -26,15 +26,15 @@ from rtloop.service.port import Frame
 from shm.words import Unreferenced
 
 ENABLED_BY_A_TARGET = True
-STATUS_ROUNDS = 10
-"""Questions for a drive's state in a row that are not answered: it does not hear what it is told."""
+DEAF_NS, DEAF_ROUNDS = 500_000_000, 5
+"""A drive that answers no question for its state for so long, and so many, does not hear what it is told."""
 WAIT = AskFrames((), lambda frame: False)
 """Asks nothing, and waits as long as for an answer that does not come (0.3 s)."""
 
 
 def fill(row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
     """Write the parameters of a VESC for the cycle; see `rtloop.drives.setup.Setup`."""
-    row["status_timeout_ns"] = STATUS_ROUNDS * len(arm.joints) * arm.control.period_ns
+    row["status_timeout_ns"] = max(DEAF_NS, DEAF_ROUNDS * len(arm.joints) * arm.control.period_ns)
 
 
 def bring_up(host: Host, joint: int) -> Part[Found]:
