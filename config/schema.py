@@ -332,7 +332,7 @@ class ArmConfig(Section):
 
     @model_validator(mode="after")
     def _drives_go_together(self) -> ArmConfig:
-        check_drives(self.joints, self.bus, self.limits)
+        check_drives(self.joints, self.bus, self.limits, self.control.rate_hz)
         return self
 
     @model_validator(mode="after")

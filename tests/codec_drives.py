@@ -259,7 +259,7 @@ def vesc_says(rad: float, rad_s: float, nm: float, celsius: int) -> Said:
 
 
 def vesc_is_position(identifier: int, data: bytes) -> bool:
-    return identifier == 0x1001 and len(data) == 8
+    return identifier == 0x1001 and len(data) == 8 and int.from_bytes(data[6:], "big") <= 18_000
 
 
 STEPPER, DIRECT, ANY = (1.0, 20.0, 50.0), (0.5, 1.0, 2.0), (0.5, 2.0, 50.0)

@@ -50,6 +50,11 @@ class Drive(Section, ABC):
     """What a joint's range may be of a motor turn, where positions come round each turn; None where they do not."""
 
     @property
+    def tells_its_position_hz(self) -> float | None:
+        """How often it sends its position by itself, where no cycle asks for it; None where each cycle does."""
+        return None
+
+    @property
     def plans_its_motion(self) -> bool:
         """Whether it goes to a target with a speed and a ramp of its own, and so brakes by itself in silence."""
         return False

@@ -26,13 +26,14 @@ class Limits(Protocol):
         """Braking of a drive that hears nothing more, as a multiple of the joint's acceleration limit."""
 
 
-def check_drives(joints: Sequence[JointConfig], bus: BusConfig, limits: Limits) -> None:
+def check_drives(joints: Sequence[JointConfig], bus: BusConfig, limits: Limits, rate_hz: float) -> None:
     """Refuse the first thing that is wrong with an arm's drives (pydantic's custom errors, `config.section.refuse`)."""
     _are_told_apart(joints)
     _are_not_too_fast(joints)
     _reach_the_whole_range(joints)
     _know_their_angle(joints)
     _stay_within_a_turn(joints)
+    _tell_their_positions_in_every_cycle(joints, rate_hz)
     _do_what_the_bus_asks(joints, bus)
     _suit_the_bus(joints, bus)
     _brake_in_silence(joints, limits)
@@ -127,6 +128,17 @@ def _stay_within_a_turn(joints: Sequence[JointConfig]) -> None:
                 f"the range of {joint.name} is {joint.range_turns:.2f} motor turns with ratio {joint.ratio:g}, but "
                 f"{joint.drive.called} counts within one turn, of which it may use {most:g}: narrow the range, or "
                 "make a turn of its position more turns of the encoder, in the drive and in ratio.",
+            )
+
+
+def _tell_their_positions_in_every_cycle(joints: Sequence[JointConfig], rate_hz: float) -> None:
+    for index, joint in enumerate(joints):
+        told_hz = joint.drive.tells_its_position_hz
+        if told_hz is not None and told_hz < rate_hz:
+            raise refuse(
+                f"joints[{index}].drive.position_hz",
+                f"position_hz of {joint.name} is {told_hz:g}, below the control rate of {rate_hz:g} Hz, so cycles "
+                f"would pass without a reading: let {joint.drive.called} send its position as often, or lower rate_hz.",
             )
 
 

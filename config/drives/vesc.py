@@ -66,6 +66,11 @@ class VescDrive(Drive):
         return self.encoder == "absolute"
 
     @property
+    def tells_its_position_hz(self) -> float:
+        """As set in the drive."""
+        return self.position_hz
+
+    @property
     def identifiers(self) -> tuple[Identifiers, ...]:
         """All packets for it and all status of it, and what it answers to its host."""
         return (

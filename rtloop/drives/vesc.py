@@ -51,8 +51,9 @@ def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     """Send the set-point of this cycle; a drive that got none for a while catches up gradually."""
     position_rad, velocity_rad_s = following.setpoint(loop, joint)
     position_rad -= following.still_behind_rad(loop, joint, position_rad)
-    if setpoint_check.may_be_sent(loop, shared, joint, position_rad, velocity_rad_s):
-        send_position(loop, joint, shared, position_rad, -1)
+    if not setpoint_check.may_be_sent(loop, shared, joint, position_rad, velocity_rad_s):
+        return
+    if send_position(loop, joint, shared, position_rad, -1):
         loop.axes[joint].drive.is_disabled = 0
 
 
@@ -116,8 +117,9 @@ def receive(
     if length != protocol.STATUS_BYTES:
         return
     if number == row.address and packet == protocol.STATUS_4:
-        position_rad = joint_position_rad(row, words.whole(data, protocol.TOLD_POSITION))
-        receiving.receive_position(loop, joint, position_rad, time_ns)
+        told = words.whole(data, protocol.TOLD_POSITION)
+        if 0 <= told <= STEPS_PER_TURN:
+            receiving.receive_position(loop, joint, joint_position_rad(row, told), time_ns)
         hottest_c = max(words.quantity(data, HOTTEST_C[0]), words.quantity(data, HOTTEST_C[1]))
         receiving.receive_temperature(loop, joint, hottest_c)
     elif number == row.address and packet == protocol.STATUS_5:

@@ -107,7 +107,7 @@ def value_in(answer: Frame) -> int:
 
 def heard(number: int, packet: int) -> AskFrames:
     """Listens for a status that a drive sends by itself."""
-    return AskFrames((), lambda frame: _is(frame, number, packet))
+    return AskFrames((), lambda frame: _is(frame, number, packet) and _tells_a_place(frame, packet))
 
 
 def set_position(number: int, steps: float) -> Frame:
@@ -132,6 +132,11 @@ def steps_in(config: JointConfig, told: int) -> float:
 
 def _is(frame: Frame, number: int, packet: int) -> bool:
     return frame.id == packet << PACKET_BIT | number and len(frame.data) == protocol.STATUS_BYTES
+
+
+def _tells_a_place(frame: Frame, packet: int) -> bool:
+    """Whether a position is within a turn, where there is one."""
+    return packet != protocol.STATUS_4 or 0 <= unpacked(frame.data, protocol.TOLD_POSITION) <= STEPS_PER_TURN
 
 
 def _to(number: int, packet: int, data: bytes) -> Frame:

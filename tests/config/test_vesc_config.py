@@ -35,6 +35,7 @@ def test_a_joint_has_less_than_the_turn_after_which_its_positions_come_round(rat
         ({"controller_id": 127}, "controller_id of joint1 is 127"),
         ({"controller_id": 2}, "controller_id 2 is used by joint1 and joint2"),
         ({"position_hz": 40}, "position_hz of joint1 is 40"),
+        ({"position_hz": 199}, "position_hz of joint1 is 199, below the control rate of 200 Hz"),
     ],
 )
 def test_what_no_vesc_can_be_is_refused(drive: dict[str, int], words: str) -> None:
