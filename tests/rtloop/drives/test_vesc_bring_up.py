@@ -136,6 +136,21 @@ def test_a_drive_that_was_switched_off_and_on_is_not_enabled_by_a_stop() -> None
     arm.close()
 
 
+def test_an_arm_of_vescs_does_not_go_on_by_itself() -> None:
+    """A target would enable one that had no power meanwhile, and none proves that it had."""
+    arm = VirtualArm.brought_up("vesc6")
+    arm.heal_by_itself()
+    for drive in arm.sim.drives:
+        drive.unplug(arm.sim.now_ns)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT, at_most_s=0.5)
+    for drive in arm.sim.drives:
+        drive.plug_in(arm.sim.now_ns)
+    arm.cycles(1000)
+    assert arm.memory["mode"] == Mode.FAULT
+    assert arm.clear_fault().failure is None, arm.told
+    arm.close()
+
+
 def test_let_go_it_coasts() -> None:
     arm = VirtualArm.brought_up("vesc6")
     assert arm.ask(Request.DISABLE) == Answer.DONE
