@@ -36,7 +36,7 @@ from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.errors import code_words
 from rtloop.drives.sdo import ABORT, Aborted, Node, Object, abort_words, reading, value_in
-from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
+from rtloop.drives.setup import CLEAR_OR_START, SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import unanswered, without_error
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import Dialogue, DialogueFailed, Part
@@ -294,8 +294,7 @@ def _map(node: Node, drive: Cia402Drive, holds: bool) -> Part[None]:
         raise DialogueFailed(
             node.joint,
             f"The drive of {node.config.name} holds its joint and does not let its process data be changed meanwhile "
-            f"({abort_words(aborted.code)}): support the arm, switch the drive off and on, then `rtarm clear-fault`, "
-            "or `rtarm up` where it has ended.",
+            f"({abort_words(aborted.code)}): support the arm, switch the drive off and on, {CLEAR_OR_START}.",
         ) from aborted
 
 
@@ -400,8 +399,8 @@ def _enable(arm: ArmConfig, node: Node, state: int) -> Part[None]:
         raise DialogueFailed(
             node.joint,
             f"The drive of {node.config.name} is in the state {state_words(state)}{why} after being told to go to "
-            f"{state_words(wanted)}: check the motor's supply, the enabling input and safe torque off (STO), then "
-            "`rtarm clear-fault`, or `rtarm up` where it has ended.",
+            f"{state_words(wanted)}: check the motor's supply, the enabling input and safe torque off (STO), "
+            f"{CLEAR_OR_START}.",
         )
 
 

@@ -42,7 +42,7 @@ from rtloop.drives.damiao_protocol import Register
 from rtloop.drives.errors import code_words
 from rtloop.drives.fields import field, of_field
 from rtloop.drives.numbers import NO_VALUES, Values, packed, unpacked
-from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
+from rtloop.drives.setup import CLEAR_OR_START, SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import answered, let_go, unanswered, without_error, written
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
@@ -106,8 +106,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not let itself be enabled (its status is {status_words(found.code)}): "
-            "see what it says in the maker's tool, remove the cause, then `rtarm clear-fault`, or `rtarm up` where "
-            "it has ended.",
+            f"see what it says in the maker's tool, remove the cause, {CLEAR_OR_START}.",
         )
     held_rad = _held_rad(config, found, host.arm.limits.following_error_rad * config.ratio)
     if config.knows_its_angle:
@@ -293,8 +292,7 @@ def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> No
         joint,
         f"The drive of {config.name} stands at or beyond an end of what its frames reach (±{most:g} rad of its shaft), "
         "so nobody knows where, and it would be moved if it were told to stay: turn the joint back by hand while the "
-        "drive is off, or set its zero with the maker's tool, then `rtarm clear-fault`, or `rtarm up` where it has "
-        "ended.",
+        f"drive is off, or set its zero with the maker's tool, {CLEAR_OR_START}.",
     )
 
 
@@ -368,6 +366,5 @@ def write_register(joint: int, config: JointConfig, register: Register, value: f
     raise DialogueFailed(
         joint,
         f"The drive of {config.name} keeps {register} at {found[4:].hex(' ')} although "
-        f"{wanted.hex(' ')} was written: set it with the maker's tool, then `rtarm clear-fault`, or `rtarm up` where "
-        "it has ended.",
+        f"{wanted.hex(' ')} was written: set it with the maker's tool, {CLEAR_OR_START}.",
     )

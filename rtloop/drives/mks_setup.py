@@ -21,7 +21,7 @@ from config.schema import ArmConfig
 from rtloop.drives import mks_protocol as protocol
 from rtloop.drives.asking import AskFrames
 from rtloop.drives.numbers import packed, unpacked
-from rtloop.drives.setup import ERROR_AT_START, Found, Host, ReferencingHost
+from rtloop.drives.setup import CLEAR_OR_START, ERROR_AT_START, Found, Host, ReferencingHost
 from rtloop.drives.steps import answered, let_go, unanswered
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
@@ -206,8 +206,7 @@ def _stand(host: Host, joint: int) -> Part[bool]:
         if state == protocol.CALIBRATING:
             raise DialogueFailed(
                 joint,
-                f"The drive of {config.name} is calibrating its encoder: wait until it has ended, then `rtarm "
-                "clear-fault`, or `rtarm up` where it has ended.",
+                f"The drive of {config.name} is calibrating its encoder: wait until it has ended, {CLEAR_OR_START}.",
             )
         was_homing |= state == protocol.HOMING
         waited_ns = host.now_ns - began_ns

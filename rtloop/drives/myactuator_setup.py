@@ -32,6 +32,7 @@ from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.errors import error_words
 from rtloop.drives.numbers import NO_VALUES, Values, packed, unpacked
 from rtloop.drives.setup import (
+    CLEAR_OR_START,
     ERROR_AT_START,
     SAME_PLACE_RAD,
     Found,
@@ -254,8 +255,7 @@ def _at_rest(joint: int, config: JointConfig) -> Part[None]:
         yield from _answered(joint, config, protocol.STOP, "stop")
     raise DialogueFailed(
         joint,
-        f"The drive of {config.name} turns and does not stop: end what leads or moves it, then `rtarm clear-fault`, or "
-        "`rtarm up` where it has ended.",
+        f"The drive of {config.name} turns and does not stop: end what leads or moves it, {CLEAR_OR_START}.",
     )
 
 
@@ -286,8 +286,7 @@ def with_ramp(joint: int, config: JointConfig, index: int, name: str, wanted: in
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not take {wanted} °/s² as the {name} of its position planning (it "
-            f"stays at {found}): set it with the maker's program, then `rtarm clear-fault`, or `rtarm up` where it "
-            "has ended.",
+            f"stays at {found}): set it with the maker's program, {CLEAR_OR_START}.",
         )
     return before
 

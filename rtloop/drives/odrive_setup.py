@@ -20,7 +20,7 @@ from rtloop.drives import errors
 from rtloop.drives import odrive_protocol as protocol
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.numbers import NO_VALUES, Values, packed, unpacked
-from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, require_may_enable
+from rtloop.drives.setup import CLEAR_OR_START, SAME_PLACE_RAD, Found, Host, require_may_enable
 from rtloop.drives.steps import answered, let_go, unanswered, without_error
 from rtloop.memory.frame_words import REMOTE, STANDARD
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part, answer_patience_s
@@ -98,8 +98,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} ({firmware}) does not close its loop ({_why_open(beat, firmware)}): calibrate "
-            "its motor and encoder with odrivetool and save that in the drive, then `rtarm clear-fault`, or `rtarm up` "
-            "where it has ended.",
+            f"its motor and encoder with odrivetool and save that in the drive, {CLEAR_OR_START}.",
         )
     turns = yield from confirmed(lambda: _turns(joint, config), SAME_PLACE_RAD * config.ratio / (2.0 * math.pi))
     return Found(turns, turns, Unreferenced.REFERENCED if _drive(config).knows_its_angle else Unreferenced.INCREMENTAL)
@@ -195,8 +194,8 @@ def _turns(joint: int, config: JointConfig) -> Part[float]:
             return turns
     raise DialogueFailed(
         joint,
-        f"The drive of {config.name} says that its position is no number: calibrate its encoder with odrivetool, then "
-        "`rtarm clear-fault`, or `rtarm up` where it has ended.",
+        f"The drive of {config.name} says that its position is no number: calibrate its encoder with odrivetool, "
+        f"{CLEAR_OR_START}.",
     )
 
 

@@ -25,7 +25,7 @@ from rtloop.drives.arming import Arming, stayed_armed
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.errors import error_words
 from rtloop.drives.numbers import NO_VALUES, Bits, Values, packed, unpacked, word
-from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, PowerHost
+from rtloop.drives.setup import CLEAR_OR_START, SAME_PLACE_RAD, Found, Host, PowerHost
 from rtloop.drives.steps import answered, let_go, unanswered, without_error, written
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
 from rtloop.service.port import Frame
@@ -110,7 +110,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not run after being enabled ({why}): calibrate its encoder with the "
-            "maker's program, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+            f"maker's program, {CLEAR_OR_START}.",
         )
     standing = yield from confirmed(lambda: _where_it_stands(joint, config), SAME_PLACE_RAD * config.ratio)
     if drive.mode != "control":
@@ -153,7 +153,7 @@ def _refuse_another_run_mode(joint: int, config: JointConfig) -> Part[None]:
             joint,
             f"The drive of {config.name} runs in run mode {run_mode}, but mode {_drive(config).mode} is run mode "
             f"{wanted}, which is set while it is stopped: end the program that leads it, support the arm, switch the "
-            "drive off and on, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+            f"drive off and on, {CLEAR_OR_START}.",
         )
 
 
@@ -166,7 +166,7 @@ def _require_within_its_field(joint: int, config: JointConfig, rad: float) -> No
         joint,
         f"The drive of {config.name} stands at {rad:+.3f} rad of its shaft, beyond what its frames reach "
         f"(±{most:.6g} rad), so it would be moved if it were told to stay: turn the joint back by hand while the drive "
-        "is off, or set its zero with the maker's program, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+        f"is off, or set its zero with the maker's program, {CLEAR_OR_START}.",
     )
 
 
@@ -337,5 +337,5 @@ def _where_it_stands(joint: int, config: JointConfig) -> Part[float]:
     raise DialogueFailed(
         joint,
         f"The drive of {config.name} says that its position is no number: calibrate its encoder with the maker's "
-        "program, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+        f"program, {CLEAR_OR_START}.",
     )

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from config.drives.cia402 import SDO_REPLY, SDO_REQUEST
 from config.joint import JointConfig
 from rtloop.drives.asking import AskFrames
+from rtloop.drives.setup import CLEAR_OR_START
 from rtloop.memory.frame_words import STANDARD
 from rtloop.service.conversation import DialogueFailed, Part, silent_amid
 from rtloop.service.port import Frame
@@ -172,7 +173,7 @@ class Node:
             raise Aborted(
                 self.joint,
                 f"The drive of {self.config.name} does not {wanted} object {entry.name}: {abort_words(code)}. See what "
-                "its manual says of that object, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+                f"its manual says of that object, {CLEAR_OR_START}.",
                 code,
             )
         return reply

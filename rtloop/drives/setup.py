@@ -37,6 +37,8 @@ class Found(NamedTuple):
 
 ERROR_AT_START = "then start again with `rtarm up … --clear-fault`, which clears it"
 """Remedy for an error that a drive already has when its control process starts."""
+CLEAR_OR_START = "then `rtarm clear-fault`, or `rtarm up` where it has ended"
+"""The way back after a bring-up that has failed: of a control process that runs, or of one that it has ended."""
 
 
 class Host(Protocol):

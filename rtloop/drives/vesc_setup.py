@@ -18,7 +18,7 @@ from rtloop.drives import vesc_protocol as protocol
 from rtloop.drives.asking import AskFrames, confirmed, say
 from rtloop.drives.errors import code_words
 from rtloop.drives.numbers import Values, packed, unpacked
-from rtloop.drives.setup import SAME_PLACE_RAD, Found, Host, require_may_enable
+from rtloop.drives.setup import CLEAR_OR_START, SAME_PLACE_RAD, Found, Host, require_may_enable
 from rtloop.drives.steps import answered, let_go, unanswered, without_error
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.service.conversation import Dialogue, DialogueFailed, Part
@@ -152,7 +152,7 @@ def _place(joint: int, config: JointConfig) -> Part[float]:
             joint,
             f"The drive of {config.name} does not send its position: switch Status 4 on among its CAN Messages Rate 1 "
             f"in VESC Tool (App Settings, General), set that rate to {drive.position_hz} Hz and write the "
-            "configuration, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+            f"configuration, {CLEAR_OR_START}.",
         )
     return steps_in(config, unpacked(frame.data, protocol.TOLD_POSITION))
 
@@ -165,8 +165,7 @@ def _held_by_nothing_else(joint: int, config: JointConfig) -> Part[None]:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} does not say whether its time-out has let the motor go, as firmware from "
-            "before 2021 does: bring its firmware up to date with VESC Tool, then `rtarm clear-fault`, or `rtarm up` "
-            "where it has ended.",
+            f"before 2021 does: bring its firmware up to date with VESC Tool, {CLEAR_OR_START}.",
         )
     cause = released_words(value_in(answer))
     if cause:
@@ -177,6 +176,5 @@ def _held_by_nothing_else(joint: int, config: JointConfig) -> Part[None]:
         }[cause]
         raise DialogueFailed(
             joint,
-            f"The drive of {config.name} holds nothing because of {cause}: {remedy}, then `rtarm clear-fault`, or "
-            "`rtarm up` where it has ended.",
+            f"The drive of {config.name} holds nothing because of {cause}: {remedy}, {CLEAR_OR_START}.",
         )

@@ -1,6 +1,6 @@
 """ZDT (Emm_V5) closed-loop stepper: numbers to CAN frames and back, in the cycle.
 
-Protocol facts (what stands in the frames: `rtloop.drives.zdt_registers`):
+Protocol facts (what stands in the frames: `rtloop.drives.zdt_protocol`):
 - `FD dir rpm16 acc pulses32 mode=01 sync=00 6B`, two packets: go to an absolute target with at most that
   speed and a ramp of 1 rpm every (256 - acc) · 50 µs;
 - `36 6B` → `36 sign counts32 6B`, 65536 counts a turn; `3A 6B` → `3A flags 6B`; `FE 98 00 6B` stops at once;
@@ -20,7 +20,7 @@ import math
 
 from compilation.jit import jit
 from rtloop.drives import leading, receiving, words
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives.numbers import Number, word
 from rtloop.memory import status as status_bits
 from rtloop.memory.frame_words import EXTENDED
@@ -39,22 +39,22 @@ FAST_OFFSET_SHARE = 0.25
 OTHER, POSITION, STATUS, REFUSED, ACCEPTED, CAUSE = range(6)
 """What a frame is, as `decode` says."""
 
-NOWHERE = registers.go_to(0, rpm=0, acc=0)
+NOWHERE = protocol.go_to(0, rpm=0, acc=0)
 FIRST_PACKET, LAST_PACKET = word(NOWHERE[:8]), word(NOWHERE[:1] + NOWHERE[8:])
-PULSES_FIRST, PULSES_LAST = registers.MOVE_PULSES._replace(size=3), Number(1, 1)
+PULSES_FIRST, PULSES_LAST = protocol.MOVE_PULSES._replace(size=3), Number(1, 1)
 """`FD` in its two packets, which part the target."""
-FAST_PACKET = word(registers.fast_target(0))
-READ_POSITION, READ_STATUS = word(registers.ASK_POSITION), word(registers.ASK_STATUS)
-READ_CAUSE = word(registers.ASK_HOMING_STATUS)
-STOP, END_HOMING = word(registers.STOP), word(registers.END_HOMING)
+FAST_PACKET = word(protocol.fast_target(0))
+READ_POSITION, READ_STATUS = word(protocol.ASK_POSITION), word(protocol.ASK_STATUS)
+READ_CAUSE = word(protocol.ASK_HOMING_STATUS)
+STOP, END_HOMING = word(protocol.STOP), word(protocol.END_HOMING)
 
 
 @jit
 def pack_target(rpm: int, acc_byte: int, pulses: int) -> tuple[int, int]:
     """Data words of the two packets of `FD` with an absolute target; first byte lowest."""
     magnitude = min(abs(pulses), 0xFFFFFFFF)
-    first = FIRST_PACKET | words.placed(registers.MOVE_SIGN, 1 if pulses < 0 else 0)
-    first |= words.placed(registers.MOVE_RPM, rpm) | words.placed(registers.MOVE_ACC, acc_byte)
+    first = FIRST_PACKET | words.placed(protocol.MOVE_SIGN, 1 if pulses < 0 else 0)
+    first |= words.placed(protocol.MOVE_RPM, rpm) | words.placed(protocol.MOVE_ACC, acc_byte)
     first |= words.placed(PULSES_FIRST, magnitude >> 8)
     return int(first), int(LAST_PACKET | words.placed(PULSES_LAST, magnitude))
 
@@ -63,7 +63,7 @@ def pack_target(rpm: int, acc_byte: int, pulses: int) -> tuple[int, int]:
 def pack_fast_target(pulses: int) -> int:
     """Data word of `FC`; unlike that of `FD`, its target is a signed number. First byte lowest."""
     bounded = min(max(pulses, -0x80000000), 0x7FFFFFFF)
-    return int(FAST_PACKET | words.placed(registers.FAST_PULSES, bounded))
+    return int(FAST_PACKET | words.placed(protocol.FAST_PULSES, bounded))
 
 
 @jit
@@ -122,19 +122,19 @@ def decode(packet: int, length: int, data: int) -> tuple[int, int]:
     """
     if packet != 0:
         return OTHER, 0
-    function, code = words.whole(data, registers.FUNCTION), words.whole(data, registers.CODE)
+    function, code = words.whole(data, protocol.FUNCTION), words.whole(data, protocol.CODE)
     if length == 7 and function == READ_POSITION & 255:
-        sign, counts = words.whole(data, registers.COUNTS_SIGN), words.whole(data, registers.COUNTS)
-        if sign <= 1 and words.whole(data, registers.COUNTS_END) == registers.CHECKSUM:
+        sign, counts = words.whole(data, protocol.COUNTS_SIGN), words.whole(data, protocol.COUNTS)
+        if sign <= 1 and words.whole(data, protocol.COUNTS_END) == protocol.CHECKSUM:
             return POSITION, -counts if sign else counts
-    elif length == 3 and words.whole(data, registers.CODE_END) == registers.CHECKSUM:
+    elif length == 3 and words.whole(data, protocol.CODE_END) == protocol.CHECKSUM:
         if function == READ_STATUS & 255:
-            return STATUS, words.meaning(code, registers.STATUS_MEANINGS)
-        if code in registers.REFUSALS:
+            return STATUS, words.meaning(code, protocol.STATUS_MEANINGS)
+        if code in protocol.REFUSALS:
             return REFUSED, function
         if function == READ_CAUSE & 255:
-            return CAUSE, words.meaning(code, registers.CAUSE_MEANINGS)
-        if code == registers.ACCEPTED:
+            return CAUSE, words.meaning(code, protocol.CAUSE_MEANINGS)
+        if code == protocol.ACCEPTED:
             return ACCEPTED, function
     return OTHER, 0
 
@@ -156,7 +156,7 @@ def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     target, speed = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
     if not setpoint_check.may_be_sent(loop, shared, joint, target, speed):
         return
-    rpm = leading.whole_rpm(loop, joint, speed, registers.HIGHEST_RPM)
+    rpm = leading.whole_rpm(loop, joint, speed, protocol.HIGHEST_RPM)
     first, second = pack_target(rpm, int(row.acc_byte), to_pulses(loop, joint, target))
     outgoing.send(loop, shared, frame_id, EXTENDED, 8, first, 1)
     outgoing.send(loop, shared, frame_id | 1, EXTENDED, 5, second)
@@ -215,4 +215,4 @@ def receive(
     elif kind == CAUSE:
         loop.axes[joint].drive.error_code = value
     elif kind == REFUSED:
-        receiving.receive_refusal(loop, shared, joint, value in (registers.MOVE, registers.FAST_MOVE))
+        receiving.receive_refusal(loop, shared, joint, value in (protocol.MOVE, protocol.FAST_MOVE))

@@ -20,10 +20,10 @@ from config.derived import silence_acc_byte
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION, ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue
-from rtloop.drives.zdt_registers import Version
+from rtloop.drives.zdt_protocol import Version
 from rtloop.drives.zdt_talk import Answered
 from rtloop.service.conversation import TRIES, DialogueFailed
 
@@ -37,7 +37,7 @@ WATCHED_S = 0.2
 
 def highest_rpm(arm: ArmConfig, joint: JointConfig) -> int:
     """Speed limit for `F1` (motor rpm): the highest speed that may be commanded of the joint, rounded up."""
-    return min(math.ceil(arm.limits.velocity_margin * joint.motor_rpm), registers.HIGHEST_RPM)
+    return min(math.ceil(arm.limits.velocity_margin * joint.motor_rpm), protocol.HIGHEST_RPM)
 
 
 def beside(pulses: int) -> int:
@@ -48,7 +48,7 @@ def beside(pulses: int) -> int:
 def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> ZdtDialogue:
     """Check that the drive takes `FC` for an absolute target, then set its speed and ramp; raises DialogueFailed."""
     config = arm.joints[joint]
-    if version.firmware < registers.FAST_FIRMWARE:
+    if version.firmware < protocol.FAST_FIRMWARE:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} has firmware {version}, but bus.position_command: FC needs 2.0.0 or newer: "
@@ -56,32 +56,32 @@ def prepare(arm: ArmConfig, joint: int, drive: ZdtDrive, version: Version) -> Zd
         )
     acc_byte = silence_acc_byte(config, arm.limits)
     counts_per_pulse = ENCODER_COUNTS_PER_REVOLUTION / drive.command_steps_per_revolution
-    slowly = registers.fast_setup(SLOWEST_RPM, acc_byte)
+    slowly = protocol.fast_setup(SLOWEST_RPM, acc_byte)
     for _ in range(TRIES):
-        yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # it may be moving
-        target = yield from zdt_talk.counts_of(joint, config, registers.ASK_TARGET)
+        yield Ask(protocol.STOP, (3,), answered=arm.bus.acknowledge)  # it may be moving
+        target = yield from zdt_talk.counts_of(joint, config, protocol.ASK_TARGET)
         pulses = round(target / counts_per_pulse)
-        there = registers.fast_target(beside(pulses))
-        answer = yield Ask(registers.ASK_TARGET, (7,), before=(slowly, there, there), after=(registers.STOP,))
-        told = registers.signed_of(answer, registers.ASK_TARGET, 4)
+        there = protocol.fast_target(beside(pulses))
+        answer = yield Ask(protocol.ASK_TARGET, (7,), before=(slowly, there, there), after=(protocol.STOP,))
+        told = protocol.signed_of(answer, protocol.ASK_TARGET, 4)
         if told is not None and abs(told / counts_per_pulse - beside(pulses)) < ALMOST_PULSES:
             break
         if told is not None and abs(told / counts_per_pulse - pulses - 2 * beside(pulses)) < ALMOST_PULSES:
-            yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # in case the first stop was lost
+            yield Ask(protocol.STOP, (3,), answered=arm.bus.acknowledge)  # in case the first stop was lost
             raise DialogueFailed(
                 joint,
                 f"The drive of {config.name} (firmware {version}) takes the targets of FC for amounts to go, although "
                 "it was told that they are absolute: set bus.position_command to FD.",
             )
     else:
-        yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)  # in case the last stop was lost
+        yield Ask(protocol.STOP, (3,), answered=arm.bus.acknowledge)  # in case the last stop was lost
         raise _unclear(joint, config, version)
-    stood = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
+    stood = yield from zdt_talk.counts_of(joint, config, protocol.ASK_POSITION)
     looks = math.ceil(WATCHED_S * arm.control.rate_hz)  # each takes a cycle at least
     if not (yield from _stays(pulses, stood, ALMOST_PULSES * counts_per_pulse, looks)):
-        yield Ask(registers.STOP, (3,), answered=arm.bus.acknowledge)
+        yield Ask(protocol.STOP, (3,), answered=arm.bus.acknowledge)
         raise _unclear(joint, config, version)
-    setup = registers.fast_setup(highest_rpm(arm, config), acc_byte)
+    setup = protocol.fast_setup(highest_rpm(arm, config), acc_byte)
     yield Ask(setup, (3,), answered=arm.bus.acknowledge, before=(setup,))
 
 
@@ -90,11 +90,11 @@ def _stays(pulses: int, stood: int, within: float, looks: int) -> Answered[bool]
 
     `stood` is its position before, and `within` the largest distance from it (counts).
     """
-    told: tuple[bytes, ...] = (registers.fast_target(pulses),)
+    told: tuple[bytes, ...] = (protocol.fast_target(pulses),)
     position: int | None = None
     for _ in range(looks):
-        answer = yield Ask(registers.ASK_POSITION, (7,), before=told)
-        position, told = registers.signed_of(answer, registers.ASK_POSITION, 4), ()
+        answer = yield Ask(protocol.ASK_POSITION, (7,), before=told)
+        position, told = protocol.signed_of(answer, protocol.ASK_POSITION, 4), ()
     return position is not None and abs(position - stood) < within
 
 

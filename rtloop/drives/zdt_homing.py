@@ -11,7 +11,7 @@ import math
 from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from rtloop.drives import zdt_fast_targets, zdt_reports, zdt_talk
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives.setup import ReferencingHost
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
 from rtloop.drives.zdt_talk import AGREEING, Answered
@@ -59,7 +59,7 @@ def _home(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[fl
             "lower homing.timeout_s.",
         )
     host.marks[joint] = str(mark_ms)
-    began = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
+    began = yield from zdt_talk.counts_of(joint, config, protocol.ASK_POSITION)
     host.run_begins(joint)
     if not (yield from zdt_talk.begin_homing()):
         raise DialogueFailed(
@@ -72,7 +72,7 @@ def _home(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[fl
     host.require_place(joint, stopped)
     yield from _require_mark(host, joint, config, str(mark_ms))
     yield from _set_up(host, joint, config)
-    if flags & registers.POWER_LOST:
+    if flags & protocol.POWER_LOST:
         yield from _clear_power_lost(joint, config)
     target = yield from _standing(host, joint, config)
     yield from _require_mark(host, joint, config, str(mark_ms))
@@ -84,14 +84,14 @@ def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: in
     began_ns, newest, limit_s = host.now_ns, last, host.arm.homing.timeout_s
     ended = failed = silent = 0
     while True:
-        flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS)
+        flags = yield from zdt_talk.read_flags(protocol.ASK_HOMING_STATUS)
         silent = 0 if flags is not None else silent + 1
         if silent >= AGREEING:  # each of them was asked several times
             raise DialogueFailed(joint, silent_amid(config, "homing state"))
         if flags is None:
             continue
-        ended = 0 if flags & registers.HOMING else ended + 1
-        failed = failed + 1 if ended and flags & registers.HOMING_FAILED else 0
+        ended = 0 if flags & protocol.HOMING else ended + 1
+        failed = failed + 1 if ended and flags & protocol.HOMING_FAILED else 0
         if failed >= AGREEING or host.now_ns - began_ns > (limit_s + LATE_S) * 1e9:
             raise DialogueFailed(
                 joint,
@@ -103,21 +103,21 @@ def _see_it_end(host: ReferencingHost, joint: int, config: JointConfig, last: in
             return last
         if not ended:
             last = newest  # the drive was still homing after this reading, so it had not reset its count yet
-            newest = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
+            newest = yield from zdt_talk.counts_of(joint, config, protocol.ASK_POSITION)
 
 
 def _require_zero(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDialogue:
     """Raise DialogueFailed if the drive does not count 0 after its run, has tripped its protection or let go."""
     flags = yield from zdt_talk.status_of(joint, config)
-    measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
-    if flags & registers.PROTECTED or abs(measured) > AT_STOP_RAD * config.encoder_counts_per_rad:
+    measured = yield from zdt_talk.counts_of(joint, config, protocol.ASK_POSITION)
+    if flags & protocol.PROTECTED or abs(measured) > AT_STOP_RAD * config.encoder_counts_per_rad:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} counts {measured} after its homing run, not 0, or has tripped its "
             "protection, so it has not found its stop: see that it can reach it and that its homing parameters "
             f"fit, then {host.again}.",
         )
-    if not flags & registers.ENABLED:
+    if not flags & protocol.ENABLED:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} is not enabled after its homing run, so it holds nothing: see to its supply "
@@ -128,8 +128,8 @@ def _require_zero(host: ReferencingHost, joint: int, config: JointConfig) -> Zdt
 def _clear_power_lost(joint: int, config: JointConfig) -> ZdtDialogue:
     """Clear the drive's flag for lost power, once its count means an angle again; raises DialogueFailed."""
     for _ in range(TRIES):
-        yield Ask(registers.CLEAR_POWER_LOST, (3,))
-        if not (yield from zdt_talk.status_of(joint, config)) & registers.POWER_LOST:
+        yield Ask(protocol.CLEAR_POWER_LOST, (3,))
+        if not (yield from zdt_talk.status_of(joint, config)) & protocol.POWER_LOST:
             return
     raise DialogueFailed(
         joint,
@@ -141,10 +141,8 @@ def _clear_power_lost(joint: int, config: JointConfig) -> ZdtDialogue:
 def _end_homing(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDialogue:
     seen = 0
     for _ in range(STANDS_TRIES):
-        flags = yield from zdt_talk.read_flags(
-            registers.ASK_HOMING_STATUS, before=(registers.END_HOMING, registers.STOP)
-        )
-        seen = seen + 1 if flags is not None and not flags & registers.HOMING else 0
+        flags = yield from zdt_talk.read_flags(protocol.ASK_HOMING_STATUS, before=(protocol.END_HOMING, protocol.STOP))
+        seen = seen + 1 if flags is not None and not flags & protocol.HOMING else 0
         if seen >= AGREEING:
             break
     else:
@@ -170,7 +168,7 @@ def _place(host: ReferencingHost, joint: int, config: JointConfig, angle_rad: fl
     host.marks[joint] = mark  # given before the count that it protects is read
     target = yield from _standing(host, joint, config)
     zero_rad = host.port.zero_rad(joint)
-    flagged = flags & registers.POWER_LOST and not host.port.power_loss_known(joint)
+    flagged = flags & protocol.POWER_LOST and not host.port.power_loss_known(joint)
     counts_nowhere = flagged or unmarked
     if math.isnan(angle_rad) and counts_nowhere:
         host.tell(f"{config.name}: its drive has lost power, so what it counts is no angle: say where it stands.")
@@ -181,12 +179,12 @@ def _place(host: ReferencingHost, joint: int, config: JointConfig, angle_rad: fl
             host.keep_lost(joint, None)  # the next process counts from the same zero
     else:
         host.keep_lost(joint, Unreferenced.NOT_HOMED)  # only this process knows the given angle
-        measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
+        measured = yield from zdt_talk.counts_of(joint, config, protocol.ASK_POSITION)
         zero_rad = config.direction * measured / config.encoder_counts_per_rad - angle_rad
     if mark is not None:
         yield from _require_mark(host, joint, config, mark)
     position_rad = config.direction * target / config.encoder_counts_per_rad - zero_rad
-    host.count_from(joint, zero_rad, position_rad, flag_stays=bool(flags & registers.POWER_LOST))
+    host.count_from(joint, zero_rad, position_rad, flag_stays=bool(flags & protocol.POWER_LOST))
 
 
 # --- both
@@ -194,9 +192,9 @@ def _place(host: ReferencingHost, joint: int, config: JointConfig, angle_rad: fl
 
 def _sound(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[int]:
     """Stop the drive, which may be moving, and check that it holds; its flags. Raises DialogueFailed."""
-    yield Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge)
+    yield Ask(protocol.STOP, (3,), answered=host.arm.bus.acknowledge)
     flags = yield from zdt_talk.status_of(joint, config)
-    if flags & registers.PROTECTED or not flags & registers.ENABLED:
+    if flags & protocol.PROTECTED or not flags & protocol.ENABLED:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} is in protection or not enabled, so it cannot be referenced: remove the "
@@ -235,7 +233,7 @@ def _set_up(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDialog
     if not (bus.reported or bus.fast_targets):
         return
     assert isinstance(drive, ZdtDrive)
-    version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
+    version = protocol.version_of((yield Ask(protocol.ASK_FIRMWARE, (4, 6))))
     if version is None:
         raise DialogueFailed(joint, silent_amid(config, "firmware"))
     if bus.reported:
@@ -248,11 +246,11 @@ def _set_up(host: ReferencingHost, joint: int, config: JointConfig) -> ZdtDialog
 def _standing(host: ReferencingHost, joint: int, config: JointConfig) -> Answered[int]:
     """The drive's own target (counts) once its position agrees, so that commanding the target is no motion."""
     for _ in range(TRIES):
-        measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
-        target = yield from zdt_talk.counts_of(joint, config, registers.ASK_TARGET)
+        measured = yield from zdt_talk.counts_of(joint, config, protocol.ASK_POSITION)
+        target = yield from zdt_talk.counts_of(joint, config, protocol.ASK_TARGET)
         if abs(measured - target) <= AT_STOP_RAD * config.encoder_counts_per_rad:
             return target
-        yield Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge)
+        yield Ask(protocol.STOP, (3,), answered=host.arm.bus.acknowledge)
     raise DialogueFailed(
         joint,
         f"The drive of {config.name} stands {measured - target} counts from its own target and does not take where "

@@ -6,7 +6,7 @@ A drive loses this setting with its power, like everything in its volatile memor
 from config.schema import ArmConfig
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import ZdtDialogue
-from rtloop.drives.zdt_registers import Version
+from rtloop.drives.zdt_protocol import Version
 from rtloop.drives.zdt_talk import Answered
 from rtloop.service.conversation import DialogueFailed
 from rtloop.service.port import ServicePort

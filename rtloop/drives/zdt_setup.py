@@ -16,11 +16,11 @@ from config.drives.zdt import ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
 from rtloop.drives import zdt_fast_targets, zdt_homing, zdt_reports, zdt_talk
-from rtloop.drives import zdt_registers as registers
-from rtloop.drives.setup import ERROR_AT_START, Found, Host, PowerHost, require_may_enable
+from rtloop.drives import zdt_protocol as protocol
+from rtloop.drives.setup import CLEAR_OR_START, ERROR_AT_START, Found, Host, PowerHost, require_may_enable
 from rtloop.drives.steps import let_go, unanswered
 from rtloop.drives.zdt_ask import Ask, ZdtDialogue, addressed
-from rtloop.drives.zdt_registers import Version
+from rtloop.drives.zdt_protocol import Version
 from rtloop.drives.zdt_talk import Answered
 from rtloop.service.conversation import TRIES, Dialogue, DialogueFailed, Part
 from rtloop.service.port import FAST_READY
@@ -49,11 +49,11 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 
 
 def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> Answered[Found]:
-    answer = yield Ask(registers.ASK_FIRMWARE, (4, 6))
+    answer = yield Ask(protocol.ASK_FIRMWARE, (4, 6))
     if answer is None:
         menu = f"its address and the bit rate ({host.arm.bus.bitrate} bit/s) in its menu"
         raise unanswered(joint, config, f"address {drive.address}", menu)
-    version = registers.version_of(answer)
+    version = protocol.version_of(answer)
     if version is None:
         raise DialogueFailed(
             joint,
@@ -67,9 +67,9 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
         )
     reason = Unreferenced.REFERENCED
     flags = yield from zdt_talk.status_of(joint, config)
-    if flags & registers.PROTECTED:
+    if flags & protocol.PROTECTED:
         flags = yield from _clear_protection(host, joint, config)
-    if flags & registers.POWER_LOST and not host.port.power_loss_known(joint):
+    if flags & protocol.POWER_LOST and not host.port.power_loss_known(joint):
         yield _stop(host)  # it may have received old targets since its power came back
         reason = Unreferenced.POWER_LOST
     homing = yield from _end_homing(host, joint, config)
@@ -78,13 +78,13 @@ def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> A
         host.tell(unreferenced_sentence(reason, config.name))
     yield from _settle_configuration(host, joint, config, drive, version)
     yield from _settle_reports(host, joint, config, version)
-    if not flags & registers.ENABLED:
+    if not flags & protocol.ENABLED:
         require_may_enable(host, joint)
         for _ in range(TRIES):
             # the drive may pull its shaft to its target from before it was disabled
-            yield Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge, before=(registers.ENABLE,))
+            yield Ask(protocol.STOP, (3,), answered=host.arm.bus.acknowledge, before=(protocol.ENABLE,))
             flags = yield from zdt_talk.status_of(joint, config)
-            if flags & registers.ENABLED:
+            if flags & protocol.ENABLED:
                 break
         else:
             raise DialogueFailed(
@@ -156,10 +156,10 @@ def _power_evidence(host: PowerHost, joint: int) -> Answered[tuple[bool | None, 
     """
     if not host.port.power_loss_known(joint):
         for _ in range(zdt_talk.AGREEING):
-            flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+            flags = yield from zdt_talk.read_flags(protocol.ASK_STATUS)
             if flags is None:
                 return None, None
-            if not flags & registers.POWER_LOST:
+            if not flags & protocol.POWER_LOST:
                 break
         else:
             return True, None
@@ -171,16 +171,16 @@ def _clear_protection(host: Host, joint: int, config: JointConfig) -> Answered[i
 
     Raises DialogueFailed.
     """
-    cause, remedy = registers.trip_cause((yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS)) or 0)
+    cause, remedy = protocol.trip_cause((yield from zdt_talk.read_flags(protocol.ASK_HOMING_STATUS)) or 0)
     if not host.clears_protection:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} has tripped its protection ({cause}) and holds nothing: {remedy}, "
             f"{ERROR_AT_START}.",
         )
-    yield Ask(registers.CLEAR_PROTECTION, (3,))
+    yield Ask(protocol.CLEAR_PROTECTION, (3,))
     flags = yield from zdt_talk.status_of(joint, config)
-    if flags & registers.PROTECTED:
+    if flags & protocol.PROTECTED:
         raise DialogueFailed(
             joint,
             f"The drive of {config.name} stays in protection after it was cleared, because what tripped it "
@@ -193,11 +193,11 @@ def _end_homing(host: Host, joint: int, config: JointConfig) -> Answered[bool]:
     """End a homing run that an earlier control process has left behind; whether there was one."""
     end: tuple[bytes, ...] = ()
     for looks in range(HOMING_TRIES):
-        flags = yield from zdt_talk.read_flags(registers.ASK_HOMING_STATUS, before=end)
-        if flags is None or not flags & registers.HOMING:
+        flags = yield from zdt_talk.read_flags(protocol.ASK_HOMING_STATUS, before=end)
+        if flags is None or not flags & protocol.HOMING:
             return looks > 0
         if looks > 0:  # one answer alone may be garbled
-            end = (registers.END_HOMING, registers.STOP)
+            end = (protocol.END_HOMING, protocol.STOP)
     raise DialogueFailed(
         joint,
         f"The drive of {config.name} is amid a homing run and does not end it: use the switch in the power line, "
@@ -206,14 +206,14 @@ def _end_homing(host: Host, joint: int, config: JointConfig) -> Answered[bool]:
 
 
 def _stop(host: Host) -> Ask:
-    return Ask(registers.STOP, (3,), answered=host.arm.bus.acknowledge)
+    return Ask(protocol.STOP, (3,), answered=host.arm.bus.acknowledge)
 
 
 def _settle_configuration(
     host: Host, joint: int, config: JointConfig, drive: ZdtDrive, version: Version
 ) -> ZdtDialogue:
     """Check the settings that would make motion wrong, and set the response mode in volatile memory."""
-    wanted = registers.RESPONSE_RECEIVE if host.arm.bus.acknowledge else registers.RESPONSE_NONE
+    wanted = protocol.RESPONSE_RECEIVE if host.arm.bus.acknowledge else protocol.RESPONSE_NONE
     block = yield from zdt_talk.read_block()
     if block is None or not version.known:
         if not host.arm.bus.acknowledge:
@@ -239,9 +239,9 @@ def _settle_configuration(
             joint,
             f"The drive of {config.name} tells its configuration in another way whenever it is asked, so its "
             "acknowledgements are not set, for which all of it is written back: check the adapter, its cable and "
-            "the CAN wires, then `rtarm clear-fault`, or `rtarm up` where it has ended.",
+            f"the CAN wires, {CLEAR_OR_START}.",
         )
-    yield Ask(registers.write_block(replace(block, response=wanted), store=False), (3,))
+    yield Ask(protocol.write_block(replace(block, response=wanted), store=False), (3,))
     for _ in range(TRIES):  # an answer from before the change may still come
         after = yield from zdt_talk.read_block()
         if after is not None and after.response == wanted:
@@ -286,8 +286,8 @@ def _standing(host: Host, joint: int, config: JointConfig, reason: Unreferenced)
     counts_per_rad = config.direction * config.encoder_counts_per_rad
     zero_rad = host.port.zero_rad(joint)
     while True:
-        measured = yield from zdt_talk.counts_of(joint, config, registers.ASK_POSITION)
-        target = yield from zdt_talk.counts_of(joint, config, registers.ASK_TARGET)
+        measured = yield from zdt_talk.counts_of(joint, config, protocol.ASK_POSITION)
+        target = yield from zdt_talk.counts_of(joint, config, protocol.ASK_TARGET)
         measured_rad = measured / counts_per_rad - zero_rad
         target_rad = target / counts_per_rad - zero_rad
         if abs(target_rad - measured_rad) <= SYNC_WITHIN_RAD:
@@ -321,6 +321,6 @@ def disable(arm: ArmConfig, joint: int) -> Dialogue:
 
 
 def _told_to_let_go(arm: ArmConfig) -> Answered[str]:
-    yield Ask(registers.RELEASE, (3,), answered=arm.bus.acknowledge)
-    flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
-    return "" if flags is not None and not flags & registers.ENABLED else "stays enabled"
+    yield Ask(protocol.RELEASE, (3,), answered=arm.bus.acknowledge)
+    flags = yield from zdt_talk.read_flags(protocol.ASK_STATUS)
+    return "" if flags is not None and not flags & protocol.ENABLED else "stays enabled"

@@ -1,4 +1,4 @@
-"""Requests to a ZDT (Emm_V5) drive as parts of a service dialogue; the bytes are those of `zdt_registers`."""
+"""Requests to a ZDT (Emm_V5) drive as parts of a service dialogue; the bytes are those of `zdt_protocol`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import TypeVar
 
 from config.joint import JointConfig
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives.zdt_ask import Ask
-from rtloop.drives.zdt_registers import Block, HomingParameters
+from rtloop.drives.zdt_protocol import Block, HomingParameters
 from rtloop.service.conversation import TRIES, DialogueFailed, silent_amid
 
 AGREEING = 2
@@ -29,7 +29,7 @@ def read_flags(question: bytes, before: tuple[bytes, ...] = ()) -> Answered[int 
 
     None if the drive does not answer or does not know the request.
     """
-    return registers.number_of((yield Ask(question, (3,), before=before)), question, 1)
+    return protocol.number_of((yield Ask(question, (3,), before=before)), question, 1)
 
 
 def read_counts(question: bytes) -> Answered[int | None]:
@@ -37,12 +37,12 @@ def read_counts(question: bytes) -> Answered[int | None]:
 
     None if the drive does not answer or does not know the request.
     """
-    return registers.signed_of((yield Ask(question, (7,))), question, 4)
+    return protocol.signed_of((yield Ask(question, (7,))), question, 4)
 
 
 def status_of(joint: int, config: JointConfig) -> Answered[int]:
     """The flags of ASK_STATUS; raises DialogueFailed if the drive does not answer."""
-    flags = yield from read_flags(registers.ASK_STATUS)
+    flags = yield from read_flags(protocol.ASK_STATUS)
     if flags is None:
         raise DialogueFailed(joint, silent_amid(config, "status"))
     return flags
@@ -58,7 +58,7 @@ def counts_of(joint: int, config: JointConfig, question: bytes) -> Answered[int]
 
 def read_block() -> Answered[Block | None]:
     """The configuration block; None if the drive does not answer, or with another block."""
-    return registers.block_of((yield Ask(registers.ASK_BLOCK, (8,), packets=registers.BLOCK_PACKETS)))
+    return protocol.block_of((yield Ask(protocol.ASK_BLOCK, (8,), packets=protocol.BLOCK_PACKETS)))
 
 
 def surely(read: Callable[[], Answered[Value | None]]) -> Answered[Value | None]:
@@ -77,7 +77,7 @@ def surely(read: Callable[[], Answered[Value | None]]) -> Answered[Value | None]
 
 def read_watchdog() -> Answered[int | None]:
     """The watchdog's time (ms); None if the drive does not answer or does not know the request."""
-    return registers.number_of((yield Ask(registers.ASK_WATCHDOG, (6,))), registers.ASK_WATCHDOG, 4)
+    return protocol.number_of((yield Ask(protocol.ASK_WATCHDOG, (6,))), protocol.ASK_WATCHDOG, 4)
 
 
 def set_reports(period_ms: int) -> Answered[bool]:
@@ -85,13 +85,13 @@ def set_reports(period_ms: int) -> Answered[bool]:
 
     A missing answer is no refusal.
     """
-    answer = yield Ask(registers.report_position(period_ms), tuple(len(a) for a in registers.REPORT_ACCEPTED))
-    return answer is None or answer in registers.REPORT_ACCEPTED
+    answer = yield Ask(protocol.report_position(period_ms), tuple(len(a) for a in protocol.REPORT_ACCEPTED))
+    return answer is None or answer in protocol.REPORT_ACCEPTED
 
 
 def read_homing() -> Answered[HomingParameters | None]:
     """The homing parameters; None if the drive does not answer or does not know the request."""
-    return registers.homing_of((yield Ask(registers.ASK_HOMING, (8,), packets=registers.HOMING_PACKETS)))
+    return protocol.homing_of((yield Ask(protocol.ASK_HOMING, (8,), packets=protocol.HOMING_PACKETS)))
 
 
 def homing_mark_ms(limit_ms: int, now_ns: int) -> int:
@@ -109,7 +109,7 @@ def set_homing_timeout(timeout_ms: int) -> Answered[bool]:
     if parameters is None:
         return False
     changed = replace(parameters, timeout_ms=timeout_ms)
-    yield Ask(registers.write_homing(changed), (3,))
+    yield Ask(protocol.write_homing(changed), (3,))
     return (yield from read_homing()) == changed
 
 
@@ -135,12 +135,12 @@ def begin_homing() -> Answered[bool]:
     The command is repeated until then: no acknowledgement is waited for, and a command may be lost.
     """
     for _ in range(TRIES):
-        before: tuple[bytes, ...] = (registers.HOME_BY_COLLISION,)
+        before: tuple[bytes, ...] = (protocol.HOME_BY_COLLISION,)
         seen = 0
         for _ in range(LOOKS):
-            flags = yield from read_flags(registers.ASK_HOMING_STATUS, before)
+            flags = yield from read_flags(protocol.ASK_HOMING_STATUS, before)
             before = ()
-            seen = seen + 1 if flags is not None and flags & registers.HOMING else 0
+            seen = seen + 1 if flags is not None and flags & protocol.HOMING else 0
             if seen >= AGREEING:
                 return True
     return False

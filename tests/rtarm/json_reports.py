@@ -31,7 +31,7 @@ from rtarm.scan.search import FoundDrive
 from rtarm.scan.search import Outcome as Searched
 from rtarm.teach.file import motion_path, require_free, save
 from rtarm.teach.motion import Motion
-from rtloop.drives.zdt_registers import Block, HomingParameters, Trip, Version
+from rtloop.drives.zdt_protocol import Block, HomingParameters, Trip, Version
 from rtloop.offline.settings.compare import as_json
 from rtloop.offline.settings.session import Written
 from rtloop.offline.settings.zdt import report_of

@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from third_party.simulated_bus import LockstepBus
 
-from rtloop.drives import zdt, zdt_registers
+from rtloop.drives import zdt, zdt_protocol
 from sim.faults import PowerLoss
 
 START_RAD = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6]
@@ -144,7 +144,7 @@ def test_it_reads_what_each_drive_is(motor):
 def test_it_reads_the_same_settings_as_we_do(bus, motor, drive):
     """Five packets: its view of them and ours, field by field."""
     theirs = motor.get_config()
-    ours = zdt_registers.block_of(b"\x42\x21\x15" + drive.settings.pack() + b"\x6b")
+    ours = zdt_protocol.block_of(b"\x42\x21\x15" + drive.settings.pack() + b"\x6b")
     assert ours is not None
     assert (theirs.motor_id, theirs.can_rate, theirs.microstep) == (2, ours.can_code, ours.microstep_code)
     assert (theirs.response_mode, theirs.checksum_mode) == (ours.response, ours.checksum)
@@ -154,7 +154,7 @@ def test_it_reads_the_same_settings_as_we_do(bus, motor, drive):
     assert (theirs.stall_current, theirs.stall_time) == (ours.stall_current_ma, ours.stall_time_ms)
     assert (theirs.position_window, theirs.motor_type) == (ours.reach_window, ours.motor_type)
     # what it would write back is what we would: identifier and screen byte as 0
-    assert b"\x48\xd1\x00" + theirs.bytes + b"\x6b" == zdt_registers.write_block(ours, store=False)
+    assert b"\x48\xd1\x00" + theirs.bytes + b"\x6b" == zdt_protocol.write_block(ours, store=False)
 
 
 def test_it_reads_everything_at_once(bus, motor):
@@ -252,10 +252,10 @@ def test_it_sets_up_homing_as_we_do(bus, motor, drive):
     before = motor.get_homing_params()
     assert motor.set_homing_params(HOMING, store=False)
     assert motor.get_homing_params() == HOMING != before
-    ours = zdt_registers.homing_of(b"\x22" + drive.homing.pack() + b"\x6b")
+    ours = zdt_protocol.homing_of(b"\x22" + drive.homing.pack() + b"\x6b")
     assert ours is not None
     assert (ours.mode, ours.direction, ours.rpm, ours.timeout_ms) == (2, 1, 60, 120_000)
-    assert b"\x4c\xae\x00" + HOMING.bytes + b"\x6b" == zdt_registers.write_homing(ours)
+    assert b"\x4c\xae\x00" + HOMING.bytes + b"\x6b" == zdt_protocol.write_homing(ours)
 
 
 def test_it_homes_a_motor_to_its_stop(bus, motor, drive):
@@ -365,7 +365,7 @@ def test_our_targets_are_theirs(pulses, rpm, acc):
         motion_mode=MotionMode.ABSOLUTE,
     )
     expected = b"\xfd" + theirs.bytes + b"\x6b"
-    assert zdt_registers.go_to(pulses, rpm=rpm, acc=acc) == expected
+    assert zdt_protocol.go_to(pulses, rpm=rpm, acc=acc) == expected
     first, second = (word.to_bytes(8, "little") for word in map(int, unsigned(zdt.pack_target(rpm, acc, pulses))))
     assert first + second[1:5] == expected
 
@@ -374,9 +374,9 @@ def test_our_targets_are_theirs(pulses, rpm, acc):
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(1, 3000), st.integers(0, 255))
 def test_our_fast_targets_are_theirs(pulses, rpm, acc):
     theirs = FastPositionParams(speed=rpm, acceleration=acc, motion_mode=MotionMode.ABSOLUTE)
-    assert zdt_registers.fast_setup(rpm, acc) == b"\xf1" + theirs.bytes + b"\x6b"
+    assert zdt_protocol.fast_setup(rpm, acc) == b"\xf1" + theirs.bytes + b"\x6b"
     fast = b"\xfc" + pulses.to_bytes(4, "big", signed=True) + b"\x6b"
-    assert zdt_registers.fast_target(pulses) == fast
+    assert zdt_protocol.fast_target(pulses) == fast
     assert int(zdt.pack_fast_target(pulses)).to_bytes(8, "little")[:6] == fast
 
 

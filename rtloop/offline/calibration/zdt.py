@@ -12,7 +12,7 @@ from collections.abc import Callable
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import Ask, addressed
 from rtloop.drives.zdt_talk import Answered
@@ -53,14 +53,14 @@ class Drive:
 
     def counts(self) -> Answered[int]:
         """The motor's position."""
-        found = yield from zdt_talk.read_counts(registers.ASK_POSITION)
+        found = yield from zdt_talk.read_counts(protocol.ASK_POSITION)
         if found is None:
             raise self.fails(silent_amid(self.config, "position"))
         return found
 
     def flags(self) -> Answered[int]:
         """The flags of `3A`."""
-        found = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+        found = yield from zdt_talk.read_flags(protocol.ASK_STATUS)
         if found is None:
             raise self.fails(silent_amid(self.config, "status"))
         return found
@@ -68,12 +68,12 @@ class Drive:
     def state(self) -> Answered[State]:
         """The drive's state."""
         flags = yield from self.flags()
-        return State(bool(flags & registers.ENABLED), bool(flags & registers.POWER_LOST))
+        return State(bool(flags & protocol.ENABLED), bool(flags & protocol.POWER_LOST))
 
     def require_held(self) -> Answered[int]:
         """Check that the drive holds the joint and may move it; its flags."""
         flags = yield from self._require_sound()
-        if not flags & registers.ENABLED:
+        if not flags & protocol.ENABLED:
             raise self.fails(f"The drive of {self.config.name} is limp, so it cannot turn: let it hold first.")
         return flags
 
@@ -83,10 +83,10 @@ class Drive:
         """Stop the drive, and check that it stands; its position."""
         for _ in range(STAND_TRIES):
             began_ns = self.now_ns()
-            answer = yield Ask(registers.ASK_POSITION, (7,), before=(registers.STOP,))
-            least = most = registers.signed_of(answer, registers.ASK_POSITION, 4)
+            answer = yield Ask(protocol.ASK_POSITION, (7,), before=(protocol.STOP,))
+            least = most = protocol.signed_of(answer, protocol.ASK_POSITION, 4)
             while least is not None and most is not None and self.now_ns() - began_ns < STILL_NS:
-                now = yield from zdt_talk.read_counts(registers.ASK_POSITION)
+                now = yield from zdt_talk.read_counts(protocol.ASK_POSITION)
                 least, most = (None, None) if now is None else (min(least, now), max(most, now))
             if least is not None and most is not None and most - least <= STILL_COUNTS:
                 return most
@@ -105,8 +105,8 @@ class Drive:
         yield from self._require_sound()
         for _ in range(TRIES):
             # it may pull its shaft to its target from before it was disabled, so the stop follows in the same cycle
-            flags = yield from zdt_talk.read_flags(registers.ASK_STATUS, before=(registers.ENABLE, registers.STOP))
-            if flags is not None and flags & registers.ENABLED:
+            flags = yield from zdt_talk.read_flags(protocol.ASK_STATUS, before=(protocol.ENABLE, protocol.STOP))
+            if flags is not None and flags & protocol.ENABLED:
                 return (yield from self.stand())
         raise self.fails(
             f"The drive of {self.config.name} stays disabled after being enabled: hold the joint, and look at the "
@@ -116,8 +116,8 @@ class Drive:
     def let_go(self) -> Answered[int]:
         """Switch the drive's torque off, so that its shaft turns freely; its position then."""
         for _ in range(TRIES):
-            flags = yield from zdt_talk.read_flags(registers.ASK_STATUS, before=(registers.RELEASE,))
-            if flags is not None and not flags & registers.ENABLED:
+            flags = yield from zdt_talk.read_flags(protocol.ASK_STATUS, before=(protocol.RELEASE,))
+            if flags is not None and not flags & protocol.ENABLED:
                 return (yield from self.counts())
         raise self.fails(f"The drive of {self.config.name} does not let its shaft go: turn the joint by the drive.")
 
@@ -130,10 +130,10 @@ class Drive:
         """
         flags = yield from self.require_held()
         start = yield from self.standing_on_target()
-        command, goal = self.move_to(start + by_counts, rpm, registers.GENTLEST_RAMP)
+        command, goal = self.move_to(start + by_counts, rpm, protocol.GENTLEST_RAMP)
         sent_ns = self.now_ns()
         answer = yield Ask(command, (3,), answered=False)
-        if answer is not None and answer[1] in registers.REFUSALS:
+        if answer is not None and answer[1] in protocol.REFUSALS:
             raise self.fails(
                 f"The drive of {self.config.name} refuses to move, and stands: look at its display for a fault."
             )
@@ -152,7 +152,7 @@ class Drive:
         """The command to go to a position (counts), and that position rounded to whole pulses (counts)."""
         pulses = round(counts * self._pulses_per_turn / ENCODER_COUNTS_PER_REVOLUTION)
         goal = round(pulses * ENCODER_COUNTS_PER_REVOLUTION / self._pulses_per_turn)
-        return registers.move_to(pulses, rpm, ramp), goal
+        return protocol.move_to(pulses, rpm, ramp), goal
 
     def _watch(self, start: int, goal: int, rpm: int, sent_ns: int, flags: int) -> Answered[str | None]:
         """Watch the motor until it has arrived; else what went wrong, to follow the drive's name."""
@@ -163,17 +163,17 @@ class Drive:
         there_ns: int | None = None
         while there_ns is None or self.now_ns() - there_ns < SETTLED_NS:
             asked_ns = self.now_ns()  # when the drive answers, it has moved for at least this long
-            counts = yield from zdt_talk.read_counts(registers.ASK_POSITION)
-            now = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+            counts = yield from zdt_talk.read_counts(protocol.ASK_POSITION)
+            now = yield from zdt_talk.read_flags(protocol.ASK_STATUS)
             if counts is None or now is None:
                 silent += 1
                 if silent >= AGREEING:  # each of them was asked several times
                     return "fell silent while it moved"
                 continue
             silent = 0
-            if now & (registers.PROTECTED | registers.STALLED):
+            if now & (protocol.PROTECTED | protocol.STALLED):
                 return "was held up (it says that it stalls)"
-            if not now & registers.ENABLED or now & registers.POWER_LOST & ~flags:
+            if not now & protocol.ENABLED or now & protocol.POWER_LOST & ~flags:
                 return "lost its power or was let go while it moved"
             done = sign * (counts - start)
             if done < min(total, (asked_ns - sent_ns - LATE_NS) * counts_per_ns) - AWAY_COUNTS:
@@ -190,7 +190,7 @@ class Drive:
 
     def _require_sound(self) -> Answered[int]:
         flags = yield from self.flags()
-        if flags & registers.PROTECTED:
+        if flags & protocol.PROTECTED:
             raise self.fails(
                 f"The drive of {self.config.name} is in protection and holds nothing: remove the cause, switch the "
                 "drive off and on, then run this again."
@@ -201,7 +201,7 @@ class Drive:
         """The motor's position once it is the drive's own target too, so that nothing is left of earlier moves."""
         for _ in range(TRIES):
             measured = yield from self.counts()
-            target = yield from zdt_talk.read_counts(registers.ASK_TARGET)
+            target = yield from zdt_talk.read_counts(protocol.ASK_TARGET)
             if target is not None and abs(measured - target) <= ARRIVED_COUNTS:
                 return measured
             yield from self.stand()
@@ -227,7 +227,7 @@ def found_of(arm: ArmConfig, joint: int, reading: Reading, report: DriveReport) 
         joint=report.joint,
         address=report.address,
         firmware="" if reading.version is None else str(reading.version),
-        enabled=bool((reading.flags or 0) & registers.ENABLED),
+        enabled=bool((reading.flags or 0) & protocol.ENABLED),
         homing_rpm=None if reading.homing is None else reading.homing.rpm,
         problems=report.left_alone or _not_countable(arm.joints[joint], reading),
     )

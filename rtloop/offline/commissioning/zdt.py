@@ -5,9 +5,9 @@ from __future__ import annotations
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
 from config.schema import ArmConfig
 from rtloop.drives import zdt_fast_targets, zdt_reports, zdt_talk
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives.zdt_ask import Ask
-from rtloop.drives.zdt_registers import Version
+from rtloop.drives.zdt_protocol import Version
 from rtloop.drives.zdt_talk import Answered
 from rtloop.offline.calibration.zdt import ARRIVED_COUNTS, LATE_NS, Drive
 from rtloop.offline.commissioning import zdt_checks as checks
@@ -64,7 +64,7 @@ def checks_of(arm: ArmConfig, joint: int) -> list[Check]:
 
 
 def _version(drive: Drive) -> Answered[Version]:
-    version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
+    version = protocol.version_of((yield Ask(protocol.ASK_FIRMWARE, (4, 6))))
     if version is None:
         raise drive.fails(f"The drive of {drive.config.name} does not tell its firmware: ask it for its answers first.")
     return version
@@ -86,8 +86,8 @@ def _reply_delay(bench: Bench, joint: int, _: int) -> list[Finding]:
     frames = _of_joint(bench, joint)
     delays_s = reply_delays_s(
         frames,
-        lambda frame: frame.data == registers.ASK_POSITION,
-        lambda frame: frame.data[:1] == registers.ASK_POSITION[:1] and len(frame.data) == 7,
+        lambda frame: frame.data == protocol.ASK_POSITION,
+        lambda frame: frame.data[:1] == protocol.ASK_POSITION[:1] and len(frame.data) == 7,
     )
     drive = bench.arm.joints[joint].drive
     return [judge_reply_delay(delays_s, wire_s(bench.arm, joint), drive.processing_s)]
@@ -99,7 +99,7 @@ def _fast_targets(bench: Bench, joint: int, _: int) -> list[Finding]:
     def ask(drive: Drive) -> Answered[tuple[Version, str | None]]:
         yield from drive.require_held()
         version = yield from _version(drive)
-        if version.firmware < registers.FAST_FIRMWARE:
+        if version.firmware < protocol.FAST_FIRMWARE:
             return version, None
         try:
             yield from zdt_fast_targets.prepare(bench.arm, joint, config, version)  # type: ignore[arg-type]
@@ -171,7 +171,7 @@ def _stall(bench: Bench, joint: int, sign: int) -> list[Finding]:
     patience_ns = PRESS_FREE_NS
     if protects:
         patience_ns = round(checks.STALL_TIMES[1] * block.stall_time_ms * 1e6) + PRESS_SPARE_NS
-    wanted = registers.PROTECTED if protects else registers.STALLED
+    wanted = protocol.PROTECTED if protects else protocol.STALLED
     pressed = bench.have(joint, lambda drive: talk.press(drive, sign, patience_ns, wanted), moves=True)
     return [checks.judge_stall(pressed, block)]
 

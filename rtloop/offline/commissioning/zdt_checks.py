@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION as TURN
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, Ask
-from rtloop.drives.zdt_registers import Block, Version
+from rtloop.drives.zdt_protocol import Block, Version
 from rtloop.kept.commissioned import PowerProof
 from rtloop.offline.calibration.zdt import ARRIVED_COUNTS, AWAY_COUNTS
 from rtloop.offline.commissioning.finding import (
@@ -33,18 +33,18 @@ STALL_SPARE_S = 1.0
 """A stall must trip within these shares of its time, plus this reserve: the torque grows with the error."""
 
 QUESTIONS: Mapping[str, Ask] = {
-    "firmware (1F)": Ask(registers.ASK_FIRMWARE, (4, 6)),
-    "status (3A)": Ask(registers.ASK_STATUS, (3,)),
-    "homing status (3B)": Ask(registers.ASK_HOMING_STATUS, (3,)),
-    "position (36)": Ask(registers.ASK_POSITION, (7,)),
-    "target (33)": Ask(registers.ASK_TARGET, (7,)),
-    "speed (35)": Ask(registers.ASK_SPEED, (5,)),
-    "supply (24)": Ask(registers.ASK_SUPPLY, (4,)),
-    "current (27)": Ask(registers.ASK_CURRENT, (4,)),
-    "homing parameters (22)": Ask(registers.ASK_HOMING, (8,), packets=registers.HOMING_PACKETS),
-    "configuration (42)": Ask(registers.ASK_BLOCK, (8,), packets=registers.BLOCK_PACKETS),
-    "watchdog (16)": Ask(registers.ASK_WATCHDOG, (6,)),
-    "protection (13)": Ask(registers.ASK_TRIP, (8,)),
+    "firmware (1F)": Ask(protocol.ASK_FIRMWARE, (4, 6)),
+    "status (3A)": Ask(protocol.ASK_STATUS, (3,)),
+    "homing status (3B)": Ask(protocol.ASK_HOMING_STATUS, (3,)),
+    "position (36)": Ask(protocol.ASK_POSITION, (7,)),
+    "target (33)": Ask(protocol.ASK_TARGET, (7,)),
+    "speed (35)": Ask(protocol.ASK_SPEED, (5,)),
+    "supply (24)": Ask(protocol.ASK_SUPPLY, (4,)),
+    "current (27)": Ask(protocol.ASK_CURRENT, (4,)),
+    "homing parameters (22)": Ask(protocol.ASK_HOMING, (8,), packets=protocol.HOMING_PACKETS),
+    "configuration (42)": Ask(protocol.ASK_BLOCK, (8,), packets=protocol.BLOCK_PACKETS),
+    "watchdog (16)": Ask(protocol.ASK_WATCHDOG, (6,)),
+    "protection (13)": Ask(protocol.ASK_TRIP, (8,)),
 }
 """Every question that rtarm asks, with the lengths of its answer."""
 NEWER = ("watchdog (16)", "protection (13)")
@@ -53,9 +53,9 @@ NEWER = ("watchdog (16)", "protection (13)")
 
 def judge_answers(answers: Mapping[str, bytes | None], address: int) -> Finding:
     """Judge `answers`, with packets joined, by the names of `QUESTIONS`; `address` is where the drive answered."""
-    version = registers.version_of(answers["firmware (1F)"])
+    version = protocol.version_of(answers["firmware (1F)"])
     newer = version is not None and version.newer
-    block = registers.block_of(answers["configuration (42)"])
+    block = protocol.block_of(answers["configuration (42)"])
     other = []
     for name, answer in answers.items():
         wanted = answer == NOT_UNDERSTOOD if name in NEWER and not newer else _is_answer(QUESTIONS[name], answer)
@@ -87,7 +87,7 @@ def samples_of(frames: Sequence[Said], start: int, way_counts: int) -> Samples:
     rows = [
         (frame.time_ns, counts)
         for frame in frames
-        if not frame.sent and (counts := registers.signed_of(frame.data, registers.ASK_POSITION, 4)) is not None
+        if not frame.sent and (counts := protocol.signed_of(frame.data, protocol.ASK_POSITION, 4)) is not None
     ]
     first_ns = rows[0][0] if rows else 0
     sign = 1 if way_counts >= 0 else -1
@@ -224,7 +224,7 @@ def judge_stall(pressed: Pressed, block: Block) -> Finding:
     if pressed.moved > AWAY_COUNTS:
         came = f"the clamp gave way: the motor turned by {figures['moved_deg']:.0f}° and was stopped"
         return Finding("stall", asked, documented, came, Verdict.NOT_TRIED, figures)
-    stalled, tripped = bool(pressed.flags & registers.STALLED), bool(pressed.flags & registers.PROTECTED)
+    stalled, tripped = bool(pressed.flags & protocol.STALLED), bool(pressed.flags & protocol.PROTECTED)
     came = f"flags {pressed.flags:02X} after {pressed.seconds:.1f} s" + (
         f", protection {'cleared' if pressed.cleared else 'not cleared: the joint is limp'}" if tripped else ""
     )
@@ -236,7 +236,7 @@ def judge_stall(pressed: Pressed, block: Block) -> Finding:
 def judge_fast_targets(version: Version, problem: str | None) -> Finding:
     """Judge the test of FC; `problem` is the sentence of `rtloop.drives.zdt_fast_targets`, None if it passed."""
     asked, documented = "targets of FC, two pulses away, after F1 with mode 01", "they are absolute"
-    if version.firmware < registers.FAST_FIRMWARE:
+    if version.firmware < protocol.FAST_FIRMWARE:
         came = f"firmware {version} has no FC; 2.0.0 or newer has"
         return Finding("fast targets", asked, documented, came, Verdict.NOT_TRIED)
     return Finding("fast targets", asked, documented, problem or "they are absolute", verdict_of(problem is None))

@@ -9,10 +9,10 @@ from config.derived import silence_acc_byte
 from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION as TURN
 from config.ramp import RAMP_RPM_S, ramp_rpm_s
 from config.schema import ArmConfig
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import Ask
-from rtloop.drives.zdt_registers import Block, Version
+from rtloop.drives.zdt_protocol import Block, Version
 from rtloop.drives.zdt_talk import Answered
 from rtloop.offline.calibration.zdt import AGREEING, AWAY_COUNTS, LATE_NS, Drive
 from rtloop.service.conversation import silent_amid
@@ -66,10 +66,10 @@ def trial_of(arm: ArmConfig, joint: int) -> Trial:
         config.ratio * min(MOST_JOINT_DEG, (config.upper_deg - config.lower_deg) / 4.0) / 360.0,
     )
     way = RAMPS_SHARE * 60.0 * turns
-    speed = max(way / BRAKES_S, (way * ramp_rpm_s(registers.GENTLEST_RAMP)) ** 0.5)
+    speed = max(way / BRAKES_S, (way * ramp_rpm_s(protocol.GENTLEST_RAMP)) ** 0.5)
     rpm = max(1, int(min(MOST_RPM, config.motor_rpm, speed)))
     byte = round(256 - RAMP_RPM_S * BRAKES_S / rpm)
-    acc_byte = max(registers.GENTLEST_RAMP, min(byte, silence_acc_byte(config, arm.limits)))
+    acc_byte = max(protocol.GENTLEST_RAMP, min(byte, silence_acc_byte(config, arm.limits)))
     return Trial(round(turns * TURN), rpm, acc_byte)
 
 
@@ -85,7 +85,7 @@ def ask_positions() -> Answered[int]:
     """Read the drive's position POSITIONS times; how often it answered."""
     answered = 0
     for _ in range(POSITIONS):
-        answered += (yield from zdt_talk.read_counts(registers.ASK_POSITION)) is not None
+        answered += (yield from zdt_talk.read_counts(protocol.ASK_POSITION)) is not None
     return answered
 
 
@@ -117,8 +117,8 @@ def run(drive: Drive, trial: Trial, legs: Sequence[tuple[int, int]]) -> Answered
         due: tuple[bytes, ...] = ()
         if left and abs(done) >= abs(left[0][0]):
             due = (drive.move_to(start + left.pop(0)[1], trial.rpm, trial.acc_byte)[0],)
-        answer = yield Ask(registers.ASK_POSITION, (7,), before=due)
-        counts = registers.signed_of(answer, registers.ASK_POSITION, 4)
+        answer = yield Ask(protocol.ASK_POSITION, (7,), before=due)
+        counts = protocol.signed_of(answer, protocol.ASK_POSITION, 4)
         looks += 1
         silent, done = (silent + 1, done) if counts is None else (0, counts - start)
         if silent >= AGREEING:
@@ -139,12 +139,12 @@ def send(drive: Drive, trial: Trial, by_counts: int) -> Answered[int]:
 
 
 def _held_up() -> Answered[str | None]:
-    flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+    flags = yield from zdt_talk.read_flags(protocol.ASK_STATUS)
     if flags is None:
         return None  # the next positions will show
-    if flags & (registers.PROTECTED | registers.STALLED):
+    if flags & (protocol.PROTECTED | protocol.STALLED):
         return "was held up (it says that it stalls)"
-    return None if flags & registers.ENABLED else "was let go or lost its power while it moved"
+    return None if flags & protocol.ENABLED else "was let go or lost its power while it moved"
 
 
 @dataclass(frozen=True)
@@ -169,13 +169,13 @@ def press(drive: Drive, sign: int, patience_ns: int, wanted: int) -> Answered[Pr
     """
     yield from drive.require_held()
     start = yield from drive.standing_on_target()
-    command, _ = drive.move_to(start + sign * PRESS_COUNTS, PRESS_RPM, registers.GENTLEST_RAMP)
+    command, _ = drive.move_to(start + sign * PRESS_COUNTS, PRESS_RPM, protocol.GENTLEST_RAMP)
     began_ns = drive.now_ns()
     yield Ask(command, (3,), answered=False)
     moved = flags = silent = 0
     while flags & wanted != wanted and moved <= AWAY_COUNTS and drive.now_ns() - began_ns < patience_ns:
-        counts = yield from zdt_talk.read_counts(registers.ASK_POSITION)
-        now = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+        counts = yield from zdt_talk.read_counts(protocol.ASK_POSITION)
+        now = yield from zdt_talk.read_flags(protocol.ASK_STATUS)
         if counts is None or now is None:
             silent += 1
             if silent >= AGREEING:
@@ -184,12 +184,12 @@ def press(drive: Drive, sign: int, patience_ns: int, wanted: int) -> Answered[Pr
         silent, flags, moved = 0, now, max(moved, abs(counts - start))
     seconds = (drive.now_ns() - began_ns) * 1e-9
     cleared = False
-    if flags & registers.PROTECTED:
-        yield Ask(registers.CLEAR_PROTECTION, (3,), answered=False)
-        cleared = not (yield from drive.flags()) & registers.PROTECTED
+    if flags & protocol.PROTECTED:
+        yield Ask(protocol.CLEAR_PROTECTION, (3,), answered=False)
+        cleared = not (yield from drive.flags()) & protocol.PROTECTED
     if cleared:
         yield from drive.hold()
-    elif not flags & registers.PROTECTED:
+    elif not flags & protocol.PROTECTED:
         yield from drive.stand()
     return Pressed(moved, seconds, flags, cleared, "fell silent" if silent >= AGREEING else None)
 
@@ -232,7 +232,7 @@ def put_back(drive: Drive, changed: Changed) -> Answered[None]:
         before, now = changed.block
         block = yield from zdt_talk.surely(zdt_talk.read_block)
         if block == now:
-            yield Ask(registers.write_block(before, store=False), (3,), answered=False)
+            yield Ask(protocol.write_block(before, store=False), (3,), answered=False)
             block = yield from zdt_talk.surely(zdt_talk.read_block)
         if block is None or block == now:
             raise drive.fails(_not_put_back(drive))
@@ -253,10 +253,10 @@ def power_cycle(
     `changed` receives what must be put back. `lost` stores that the drive's count means nothing; it is called as soon
     as that is so, and before the flag that shows it is cleared.
     """
-    version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
+    version = protocol.version_of((yield Ask(protocol.ASK_FIRMWARE, (4, 6))))
     if version is None:
         raise drive.fails(silent_amid(drive.config, "firmware"))
-    if (yield from drive.flags()) & registers.POWER_LOST:
+    if (yield from drive.flags()) & protocol.POWER_LOST:
         lost()
     flag_before = yield from _clear_power_lost()
     before = yield from drive.counts()
@@ -269,7 +269,7 @@ def power_cycle(
     if block is not None:
         other = replace(block, stall_time_ms=block.stall_time_ms ^ 1)
         changed.block = block, other
-        yield Ask(registers.write_block(other, store=False), (3,), answered=False)
+        yield Ask(protocol.write_block(other, store=False), (3,), answered=False)
         taken = (yield from zdt_talk.surely(zdt_talk.read_block)) == other
     tell(f"Switch the power of {drive.config.name}'s drive off now; it is watched until it falls silent.")
     silent_ns = answers_ns = yield from _wait_for(drive, answers=False)
@@ -280,7 +280,7 @@ def power_cycle(
         if answers_ns is None:
             raise drive.fails(silent_amid(drive.config, "status"))
     flags = yield from drive.flags()
-    if flags & registers.POWER_LOST:
+    if flags & protocol.POWER_LOST:
         lost()  # even if no silence was noticed
     after = yield from drive.counts()
     homing_after = yield from zdt_talk.surely(zdt_talk.read_homing)
@@ -291,7 +291,7 @@ def power_cycle(
     return PowerCycle(
         firmware=version,
         flag_before=flag_before,
-        flag_after=bool(flags & registers.POWER_LOST),
+        flag_after=bool(flags & protocol.POWER_LOST),
         flag_cleared=flag_cleared,
         silent_s=(answers_ns - silent_ns) * 1e-9,
         counts_before=before,
@@ -303,8 +303,8 @@ def power_cycle(
 
 def _clear_power_lost() -> Answered[bool | None]:
     """Clear the flag for lost power; the flag after that, None without an answer."""
-    flags = yield from zdt_talk.read_flags(registers.ASK_STATUS, before=(registers.CLEAR_POWER_LOST,))
-    return None if flags is None else bool(flags & registers.POWER_LOST)
+    flags = yield from zdt_talk.read_flags(protocol.ASK_STATUS, before=(protocol.CLEAR_POWER_LOST,))
+    return None if flags is None else bool(flags & protocol.POWER_LOST)
 
 
 def _wait_for(drive: Drive, *, answers: bool) -> Answered[int | None]:
@@ -318,7 +318,7 @@ def _wait_for(drive: Drive, *, answers: bool) -> Answered[int | None]:
         if drive.now_ns() - began_ns > SWITCH_PATIENCE_NS:
             return None
         now_ns = drive.now_ns()
-        flags = yield from zdt_talk.read_flags(registers.ASK_STATUS)
+        flags = yield from zdt_talk.read_flags(protocol.ASK_STATUS)
         if (flags is not None) != answers:
             agreeing = 0
             continue

@@ -7,9 +7,9 @@ from dataclasses import asdict, replace
 from config.drives.zdt import FULL_STEPS_PER_REVOLUTION, ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives.zdt_ask import addressed
-from rtloop.drives.zdt_registers import Block
+from rtloop.drives.zdt_protocol import Block
 from rtloop.offline.settings import zdt_talk
 from rtloop.offline.settings.compare import DriveReport, Setting, compared
 from rtloop.offline.settings.zdt_talk import Reading
@@ -48,7 +48,7 @@ def report_of(arm: ArmConfig, joint: int, found: Reading, shared: int | None = N
         supply_v=None if found.supply_mv is None else found.supply_mv / 1000.0,
         homing=None
         if found.homing is None
-        else {**asdict(found.homing), "mode": _named(registers.HOMING_MODES, found.homing.mode)},
+        else {**asdict(found.homing), "mode": _named(protocol.HOMING_MODES, found.homing.mode)},
         trip=None if found.trip is None else asdict(found.trip),
         settings=[] if version is None else _settings(arm, drive, found),
         left_alone=_left_alone(arm, config, drive, found, shared),
@@ -67,14 +67,14 @@ def _settings(arm: ArmConfig, drive: ZdtDrive, found: Reading) -> list[Setting]:
     settings += [
         compared("address", drive.address, block.address),
         compared("bitrate", bus.bitrate, block.bitrate),
-        compared("checksum", registers.CHECKSUMS[0], _named(registers.CHECKSUMS, block.checksum)),
-        compared("response", response, _named(registers.RESPONSES, block.response), writable=True),
+        compared("checksum", protocol.CHECKSUMS[0], _named(protocol.CHECKSUMS, block.checksum)),
+        compared("response", response, _named(protocol.RESPONSES, block.response), writable=True),
         compared("microsteps", drive.microsteps if "microsteps" in named else None, block.microsteps, writable=True),
         compared("current_ma", drive.current_ma, block.current_ma, writable=True),
         compared(
             "stall_protection",
-            None if drive.stall_protection is None else registers.STALL_MODES[drive.stall_protection],
-            _named(registers.STALL_MODES, block.stall_mode),
+            None if drive.stall_protection is None else protocol.STALL_MODES[drive.stall_protection],
+            _named(protocol.STALL_MODES, block.stall_mode),
             writable=True,
         ),
         compared("stall_rpm", drive.stall_rpm, block.stall_rpm, writable=True),
@@ -124,7 +124,7 @@ def _left_alone(arm: ArmConfig, config: JointConfig, drive: ZdtDrive, found: Rea
     reasons = []
     if block.checksum != 0:
         reasons.append(f"{who} is set to another checksum than 6B: set Checksum to 0x6B in its menu.")
-    if found.flags is None or found.flags & registers.PROTECTED:
+    if found.flags is None or found.flags & protocol.PROTECTED:
         reasons.append(_in_protection(who, found))
     if found.rpm is None or found.position_counts is None:
         reasons.append(
@@ -139,7 +139,7 @@ def _left_alone(arm: ArmConfig, config: JointConfig, drive: ZdtDrive, found: Rea
 def _in_protection(who: str, found: Reading) -> str:
     if found.flags is None:
         return f"{who} does not tell its status, so nothing of it is changed."
-    cause, remedy = registers.trip_cause(found.homing_flags or 0)
+    cause, remedy = protocol.trip_cause(found.homing_flags or 0)
     return (
         f"{who} is in protection ({cause}) and holds nothing: {remedy}, bring the arm up and clear it with `rtarm "
         "clear-fault` first."
@@ -166,7 +166,7 @@ def _notes(config: JointConfig, found: Reading) -> list[str]:
             f"{config.name}: its drive homes by itself when it gets power, without anybody asking: turn that off in "
             "its menu."
         )
-    if found.flags is not None and found.flags & registers.POWER_LOST:
+    if found.flags is not None and found.flags & protocol.POWER_LOST:
         notes.append(f"{config.name}: its drive has lost power since its position was set; it is not referenced.")
     if drive.watchdog_ms and found.watchdog_ms is None:
         notes.append(f"{config.name}: its firmware has no watchdog, or does not tell it; watchdog_ms has no effect.")
@@ -179,9 +179,9 @@ def wanted_block(block: Block, settings: list[Setting]) -> Block:
     for setting in settings:
         wanted = setting.wanted
         if setting.name == "response":
-            changes["response"] = registers.RESPONSES.index(str(wanted))
+            changes["response"] = protocol.RESPONSES.index(str(wanted))
         elif setting.name == "stall_protection":
-            changes["stall_mode"] = registers.STALL_MODES.index(str(wanted))
+            changes["stall_mode"] = protocol.STALL_MODES.index(str(wanted))
         elif setting.name == "microsteps":
             changes["microstep_code"] = int(wanted or 0) % 256
         elif setting.name != "watchdog_ms":

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, Ask, ZdtDialogue, ZdtQuestion
-from rtloop.drives.zdt_registers import Block, HomingParameters, Trip, Version
+from rtloop.drives.zdt_protocol import Block, HomingParameters, Trip, Version
 from rtloop.drives.zdt_talk import Answered, read_block, read_counts, read_flags, read_homing, read_watchdog
 from rtloop.service.conversation import TRIES, Question
 from rtloop.service.port import Frame
@@ -56,7 +56,7 @@ class Reading:
 
     def note_question(self, question: Question) -> None:
         """Count requests for the firmware."""
-        if isinstance(question, ZdtQuestion) and question.ask.payload == registers.ASK_FIRMWARE:
+        if isinstance(question, ZdtQuestion) and question.ask.payload == protocol.ASK_FIRMWARE:
             self.questions += 1
 
     def note_frame(self, frame: Frame) -> None:
@@ -67,11 +67,11 @@ class Reading:
         function, last = data[0], data[-1]
         self.misunderstandings += data == NOT_UNDERSTOOD
         short = data[:2] == NOT_UNDERSTOOD[:2] and len(data) == 3
-        if (short or (function == registers.ASK_FIRMWARE[0] and len(data) in (4, 6))) and last != registers.CHECKSUM:
+        if (short or (function == protocol.ASK_FIRMWARE[0] and len(data) in (4, 6))) and last != protocol.CHECKSUM:
             self.other_checksum = True
-        elif function == registers.ASK_FIRMWARE[0] and len(data) in (4, 6):
+        elif function == protocol.ASK_FIRMWARE[0] and len(data) in (4, 6):
             self.answers += 1
-        elif function == registers.ASK_BLOCK[0] and len(data) == 8 and data[1:3] != registers.BLOCK_HEAD:
+        elif function == protocol.ASK_BLOCK[0] and len(data) == 8 and data[1:3] != protocol.BLOCK_HEAD:
             self.other_block = data[1], data[2]
 
     def may_move_since(self, before: Reading) -> bool:
@@ -92,19 +92,19 @@ def has_moved(before: Reading, after: Reading) -> bool:
 
 def read(found: Reading) -> ZdtDialogue:
     """Read a drive's settings into `found`; a drive that does not answer is not asked further."""
-    found.version = registers.version_of((yield Ask(registers.ASK_FIRMWARE, (4, 6))))
+    found.version = protocol.version_of((yield Ask(protocol.ASK_FIRMWARE, (4, 6))))
     if found.version is None:
         return
     found.block = yield from read_block()
     found.homing = yield from read_homing()
     if found.version.newer:
         found.watchdog_ms = yield from read_watchdog()
-        found.trip = registers.trip_of((yield Ask(registers.ASK_TRIP, (8,))))
-    found.supply_mv = registers.number_of((yield Ask(registers.ASK_SUPPLY, (4,))), registers.ASK_SUPPLY, 2)
-    found.flags = yield from read_flags(registers.ASK_STATUS)
-    found.homing_flags = yield from read_flags(registers.ASK_HOMING_STATUS)
-    found.rpm = registers.signed_of((yield Ask(registers.ASK_SPEED, (5,))), registers.ASK_SPEED, 2)
-    found.position_counts = yield from read_counts(registers.ASK_POSITION)
+        found.trip = protocol.trip_of((yield Ask(protocol.ASK_TRIP, (8,))))
+    found.supply_mv = protocol.number_of((yield Ask(protocol.ASK_SUPPLY, (4,))), protocol.ASK_SUPPLY, 2)
+    found.flags = yield from read_flags(protocol.ASK_STATUS)
+    found.homing_flags = yield from read_flags(protocol.ASK_HOMING_STATUS)
+    found.rpm = protocol.signed_of((yield Ask(protocol.ASK_SPEED, (5,))), protocol.ASK_SPEED, 2)
+    found.position_counts = yield from read_counts(protocol.ASK_POSITION)
 
 
 def write(block: Block | None, watchdog_ms: int | None, store: bool) -> Answered[str | None]:
@@ -117,16 +117,16 @@ def write(block: Block | None, watchdog_ms: int | None, store: bool) -> Answered
     """
     problem: str | None = None
     if block is not None:
-        answer = yield Ask(registers.write_block(block, store=store), (3,), answered=False)
+        answer = yield Ask(protocol.write_block(block, store=store), (3,), answered=False)
         problem = yield from _read_back(answer, read_block, block)
     if watchdog_ms is not None and problem is None:
-        answer = yield Ask(registers.write_watchdog(watchdog_ms, store=store), (3,), answered=False)
+        answer = yield Ask(protocol.write_watchdog(watchdog_ms, store=store), (3,), answered=False)
         problem = yield from _read_back(answer, read_watchdog, watchdog_ms)
     return problem
 
 
 def _read_back(answer: bytes | None, read: Callable[[], Answered[Value | None]], wanted: Value) -> Answered[str | None]:
-    if answer is not None and answer[1] in registers.REFUSALS:
+    if answer is not None and answer[1] in protocol.REFUSALS:
         return "refuses to be written"
     after = None
     for _ in range(READ_BACK_TRIES):

@@ -17,7 +17,7 @@ from virtual import VirtualArm
 from config.budget import budget
 from config.loader import load_arm
 from motion.gripping import Grip, GripJudge, stall_ns
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives import zdt_talk
 from rtloop.drives.zdt_ask import split_packets
 from rtloop.service.conversation import Conversation
@@ -100,13 +100,13 @@ def stage() -> Iterator[Stage]:
 
 def test_the_command_is_that_of_the_facts() -> None:
     """CCW 4000 rpm, acc 0, 0x0001FA00 pulses (zdt-emm-v5.md section 3), with mode 01 instead of 00."""
-    command = registers.go_to(-0x0001FA00, rpm=4000, acc=0)
+    command = protocol.go_to(-0x0001FA00, rpm=4000, acc=0)
     assert command == bytes.fromhex("FD 01 0F A0 00 00 01 FA 00 01 00 6B".replace(" ", ""))
-    assert registers.go_to(3200, rpm=1, acc=1)[1] == 0
+    assert protocol.go_to(3200, rpm=1, acc=1)[1] == 0
 
 
 def test_the_current_limit_is_that_of_the_facts() -> None:
-    assert registers.limit_current(3000) == bytes.fromhex("4566000BB86B")
+    assert protocol.limit_current(3000) == bytes.fromhex("4566000BB86B")
 
 
 def test_one_command_moves_it_and_nothing_else_is_sent_for_it(stage: Stage) -> None:
@@ -559,10 +559,10 @@ def test_a_command_goes_into_the_ring_as_a_whole_or_not_at_all() -> None:
     """Another conversation may speak next, and a drive takes no other frame between the packets of a command."""
     arm = VirtualArm(arm_with())
     talk = Conversation(arm.arm, arm.port, arm.now_ns, fault=Fault.NONE)
-    first, second = split_packets(ADDRESS, registers.go_to(3200, rpm=10, acc=1))
+    first, second = split_packets(ADDRESS, protocol.go_to(3200, rpm=10, acc=1))
     talk._outbox = [(first, True), (second, False)]
     while arm.port.room() > 1:
-        arm.port.post(SEND, frame=Frame(0x100, registers.ASK_STATUS))
+        arm.port.post(SEND, frame=Frame(0x100, protocol.ASK_STATUS))
     talk._flush()
     assert (arm.port.room(), len(talk._outbox)) == (1, 2)
     arm.cycle()
@@ -576,7 +576,7 @@ def test_each_conversation_hears_its_own_drives(stage: Stage) -> None:
     stage.arm.gripper = None
     stage.arm.port.received(of_gripper=True), stage.arm.port.received()
     for address in (ADDRESS, 3):
-        stage.arm.port.post(SEND, frame=Frame(address << 8, registers.ASK_FIRMWARE))
+        stage.arm.port.post(SEND, frame=Frame(address << 8, protocol.ASK_FIRMWARE))
     stage.run(0.1)
     assert {frame.id for frame in stage.arm.port.received(of_gripper=True)} == {ADDRESS << 8}
     others = {frame.id >> 8 for frame in stage.arm.port.received()}

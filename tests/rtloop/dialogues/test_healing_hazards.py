@@ -13,14 +13,14 @@ from virtual import VirtualArm
 from config.joint import JointConfig
 from config.loader import load_arm
 from rtloop.dialogues.healing import DECIDED_WITHIN_NS, REST_NS, Healing
-from rtloop.drives import myactuator_setup, zdt_registers
+from rtloop.drives import myactuator_setup, zdt_protocol
 from rtloop.wire import received
 from shm.words import Answer, BusState, Fault, Mode, Outcome, Request, Unreferenced
 from sim.faults import ReceiveStall, Silent
 
 MKS = {"family": "mks"}
 KNOWN_WITHIN_RAD = 0.01
-STATUS = zdt_registers.ASK_STATUS[0]
+STATUS = zdt_protocol.ASK_STATUS[0]
 
 
 @pytest.fixture

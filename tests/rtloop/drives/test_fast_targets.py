@@ -12,7 +12,7 @@ from true_motion import commanded_until_end, largest_acceleration_ratio, moving,
 from virtual import VirtualArm, recorded_goal
 
 from config.loader import load_arm
-from rtloop.drives import zdt_fast_targets, zdt_registers
+from rtloop.drives import zdt_fast_targets, zdt_protocol
 from shm.words import Fault, Mode, Outcome
 from sim.bus import Frame
 from sim.faults import PowerLoss
@@ -269,7 +269,7 @@ def test_a_drive_that_is_on_its_way_is_stopped_before_it_is_asked() -> None:
     """A predecessor was killed in mid-motion."""
     arm = fast_arm(up=False, start_rad=[0.2] * 6)
     for number, drive in enumerate(arm.sim.drives):
-        for message in (zdt_registers.fast_setup(30, 200), zdt_registers.fast_target(drive._pulses() + 3000)):
+        for message in (zdt_protocol.fast_setup(30, 200), zdt_protocol.fast_target(drive._pulses() + 3000)):
             drive.receive(arm.sim.now_ns, Frame((number + 1) << 8, message))
     assert arm.bring_up().failure is None
     assert arm.end_of(arm.send_shift(0.0, 1.0)) == Outcome.SUCCEEDED

@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from virtual import VirtualArm
 
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives import zdt_talk
 from rtloop.drives.power import Marks
 from rtloop.kept.reference_store import OUTLIVES_THE_PROCESS
@@ -179,7 +179,7 @@ def test_a_loss_of_power_that_a_bring_up_hides_is_noticed_without_a_flag(firmwar
     for drive in drives_of(arm):
         drive.power_flag = "absent"
     arm.bring_up()
-    drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
+    drives_of(arm)[0].trip(arm.now_ns, protocol.STALLED)
     arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     lose_power(arm, 2, 0.05)
     arm.clear_fault()
@@ -199,7 +199,7 @@ def test_a_count_that_is_another_one_behind_a_clear_is_no_angle_whatever_the_mar
         assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
         assert arm.reference().failure is None
     assert all(referenced(arm))
-    drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
+    drives_of(arm)[0].trip(arm.now_ns, protocol.STALLED)
     arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.sim.inject(PowerLoss("joint3", at_s=0.0, off_s=0.1), since_ns=arm.now_ns)
     arm.cycles(3)
@@ -216,7 +216,7 @@ def test_a_count_that_is_another_one_behind_a_clear_that_failed_is_no_angle_eith
     drive = drives_of(arm)[2]
     drive.power_flag, drive.stores_everything = "absent", True
     arm.bring_up()
-    drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
+    drives_of(arm)[0].trip(arm.now_ns, protocol.STALLED)
     arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     begins_s = 0.0 if seconds < 1.0 else 1.0
     if begins_s:
@@ -255,7 +255,7 @@ def test_a_joint_that_moves_while_it_is_enabled_keeps_its_angle_where_its_drive_
 def test_a_joint_that_held_nothing_before_a_clear_may_stand_elsewhere_behind_it() -> None:
     arm = VirtualArm.brought_up("episode1", start_rad=[0.3, -0.2, 0.4, 0.5, -0.6, 0.7])
     drive = drives_of(arm)[2]
-    drive.trip(arm.now_ns, registers.STALLED)
+    drive.trip(arm.now_ns, protocol.STALLED)
     arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     before_rad = float(arm.loop[0]["axes"][2]["measured"]["position_rad"])
     drive.lead(arm.now_ns, 10.0)  # it falls, until the clear has it hold again
@@ -411,7 +411,7 @@ def test_a_new_mark_does_not_speak_for_the_time_before_it(monkeypatch: pytest.Mo
         assert arm.ask(Request.REFERENCE, joint_mask=1 << 2, value=0.4) == Answer.DONE
         assert arm.reference().failure is None
     assert all(referenced(arm)) and arm.marks[2] is None
-    drives_of(arm)[0].trip(arm.now_ns, registers.STALLED)
+    drives_of(arm)[0].trip(arm.now_ns, protocol.STALLED)
     arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
     arm.sim.inject(PowerLoss("joint3", at_s=0.0, off_s=0.1), since_ns=arm.now_ns)
     arm.cycles(3)

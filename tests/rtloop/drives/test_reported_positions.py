@@ -11,7 +11,7 @@ from virtual import VirtualArm, recorded_goal
 from config.budget import budget
 from config.loader import load_arm
 from rtloop.dialogues.shutdown import ShutdownDialogue
-from rtloop.drives import zdt_registers
+from rtloop.drives import zdt_protocol
 from rtloop.drives.zdt_ask import addressed
 from rtloop.offline.calibration.zdt import Drive
 from rtloop.offline.one_drive import OneDrive
@@ -22,7 +22,7 @@ from sim.faults import DuplicateReplies, LateReplies, LostReplies, PowerLoss, Se
 
 REPORTED = {"bus": {"positions": "reported"}}
 ASKS_POSITION = b"236 6B".replace(b" ", b"")
-NO_MORE_REPORTS = zdt_registers.report_position(0)
+NO_MORE_REPORTS = zdt_protocol.report_position(0)
 
 
 def reporting(goal: str = "large", *, rate_hz: float = 120.0, up: bool = True, **options: object) -> VirtualArm:
@@ -198,7 +198,7 @@ def test_drives_that_a_killed_predecessor_left_reporting(positions: str, period_
     """With the option they are told anew, without it they are told to cease."""
     arm = VirtualArm(load_arm("episode1", overrides={"bus": {"positions": positions}}))
     for number, drive in enumerate(arm.sim.drives):
-        drive.receive(arm.sim.now_ns, Frame((number + 1) << 8, zdt_registers.report_position(period_ms)))
+        drive.receive(arm.sim.now_ns, Frame((number + 1) << 8, zdt_protocol.report_position(period_ms)))
         drive.outbox.clear()
     assert arm.bring_up().failure is None
     assert reports(arm, 120) == [0] * 6 if positions == "polled" else min(reports(arm, 120)) > 100
@@ -213,7 +213,7 @@ def test_drives_that_report_are_understood_by_those_who_ask_and_move_them(period
     """`rtarm drives` and `rtarm calibrate` with drives that a killed predecessor left reporting."""
     arm = VirtualArm(load_arm("episode1"))
     for number, drive in enumerate(arm.sim.drives):
-        drive.receive(arm.sim.now_ns, Frame((number + 1) << 8, zdt_registers.report_position(period_ms)))
+        drive.receive(arm.sim.now_ns, Frame((number + 1) << 8, zdt_protocol.report_position(period_ms)))
     session = Session(arm.arm, arm.port, lambda: arm.now_ns, arm.cycle)
     session.read()
     assert [(report.answers, report.left_alone) for report in session.reports.values()] == [(True, [])] * 6

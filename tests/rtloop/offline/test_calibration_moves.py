@@ -16,7 +16,7 @@ from config.drives.zdt import ENCODER_COUNTS_PER_REVOLUTION
 from config.loader import load_arm
 from config.schema import ArmConfig
 from rtloop.drives import zdt
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives.power import Marks
 from rtloop.offline.calibration.session import MOST_RPM, MOST_TURNS, NotDone, Session
 from rtloop.service.conversation import DialogueFailed
@@ -115,8 +115,8 @@ def moves_of(bench: Bench) -> list[tuple[int, int, int, int, int]]:
 
 def test_the_bytes_of_a_move():
     """The facts' example (zdt-emm-v5.md 3: CCW, 129,536 pulses) at our speed, with our ramp, absolute."""
-    assert registers.move_to(-129_536, 8, 1) == bytes.fromhex("FD 01 00 08 01 00 01 FA 00 01 00 6B")
-    assert registers.move_to(3200, 10, 1) == bytes.fromhex("FD 00 00 0A 01 00 00 0C 80 01 00 6B")
+    assert protocol.move_to(-129_536, 8, 1) == bytes.fromhex("FD 01 00 08 01 00 01 FA 00 01 00 6B")
+    assert protocol.move_to(3200, 10, 1) == bytes.fromhex("FD 00 00 0A 01 00 00 0C 80 01 00 6B")
 
 
 @settings(deadline=None)  # the first compiles
@@ -124,13 +124,13 @@ def test_the_bytes_of_a_move():
 def test_a_move_is_what_the_cycle_would_say(pulses: int, rpm: int, ramp: int):
     first, second = zdt.pack_target(rpm, ramp, pulses)
     whole = (first & (1 << 64) - 1).to_bytes(8, "little") + second.to_bytes(5, "little")[1:]
-    assert registers.move_to(pulses, rpm, ramp) == whole
+    assert protocol.move_to(pulses, rpm, ramp) == whole
 
 
 @pytest.mark.parametrize("wrong", [(0, 0, 1), (0, 3001, 1), (0, 8, 0), (0, 8, 256), (2**32, 8, 1)])
 def test_no_move_without_ramp_or_with_a_speed_no_drive_has(wrong: tuple[int, int, int]):
     with pytest.raises(ValueError, match="no drive is sent"):
-        registers.move_to(*wrong)
+        protocol.move_to(*wrong)
 
 
 # --- what is done -----------------------------------------------------------------------------------------

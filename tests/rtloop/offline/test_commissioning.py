@@ -16,7 +16,7 @@ from virtual import VirtualArm
 
 from config.loader import load_arm
 from config.ramp import nearest_usable_acceleration_rad_s2
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.drives import zdt_talk
 from rtloop.drives.power import Marks
 from rtloop.drives.zdt_ask import Ask
@@ -306,7 +306,7 @@ def test_a_drive_that_never_held_its_joint_need_only_be_seen_to_stand() -> None:
 
 def test_what_was_seen_of_a_power_cycle_is_kept_where_nothing_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
     def put_back(drive: Drive, _: object) -> Iterator[Ask]:
-        yield Ask(registers.ASK_STATUS, (3,))
+        yield Ask(protocol.ASK_STATUS, (3,))
         raise drive.fails("It is not put back.")
 
     monkeypatch.setattr(zdt_talk_of_the_bench, "put_back", put_back)

@@ -14,7 +14,7 @@ from virtual import VirtualArm
 from config.errors import ConfigError
 from config.loader import load_arm
 from config.schema import ArmConfig
-from rtloop.drives import zdt_registers as registers
+from rtloop.drives import zdt_protocol as protocol
 from rtloop.offline.settings.compare import Verdict, as_json
 from rtloop.offline.settings.session import NotWritten, Session
 from rtloop.offline.settings.zdt import report_of, wanted_block
@@ -72,7 +72,7 @@ def verdicts(session: Session, joint: int = 0) -> dict[str, Verdict]:
 
 
 def test_the_block_of_the_facts():
-    block = registers.block_of(BLOCK_ANSWER)
+    block = protocol.block_of(BLOCK_ANSWER)
     assert block is not None
     assert (block.motor_type, block.microsteps, block.open_loop_ma, block.current_ma) == (0x19, 16, 1000, 3000)
     assert (block.max_mv, block.uart_code, block.bitrate, block.address) == (4000, 5, 500_000, 1)
@@ -81,29 +81,29 @@ def test_the_block_of_the_facts():
 
 
 def test_a_block_is_written_with_address_and_screen_as_zero():
-    block = registers.block_of(BLOCK_ANSWER)
+    block = protocol.block_of(BLOCK_ANSWER)
     assert block is not None
     expected = "48 D1 {} 19 02 02 02 00 10 01 00 03 E8 0B B8 0F A0 05 07 00 00 01 01 00 28 09 60 0F A0 00 01 6B"
-    assert registers.write_block(block, store=False) == bytes.fromhex(expected.format("00"))
-    assert registers.write_block(block, store=True) == bytes.fromhex(expected.format("01"))
+    assert protocol.write_block(block, store=False) == bytes.fromhex(expected.format("00"))
+    assert protocol.write_block(block, store=True) == bytes.fromhex(expected.format("01"))
 
 
 def test_periodic_reports_of_the_facts():
     """`11 18 info ms16`, there `11 18 3A 00 0A 6B` for the status every 10 ms; 0 stops."""
-    assert registers.report_position(10) == bytes.fromhex("11 18 36 00 0A 6B")
-    assert registers.report_position(0) == bytes.fromhex("11 18 36 00 00 6B")
-    assert (bytes.fromhex("11 02 6B"), bytes.fromhex("11 6B")) == registers.REPORT_ACCEPTED
+    assert protocol.report_position(10) == bytes.fromhex("11 18 36 00 0A 6B")
+    assert protocol.report_position(0) == bytes.fromhex("11 18 36 00 00 6B")
+    assert (bytes.fromhex("11 02 6B"), bytes.fromhex("11 6B")) == protocol.REPORT_ACCEPTED
 
 
 def test_fast_position_of_the_facts():
     """`F1 03 20 64 00 00 6B` is 800 rpm, acc 100, mode 00; ours is mode 01. `FC 00 00 0C 80 6B` is 3200 pulses."""
-    assert registers.fast_setup(800, 100) == bytes.fromhex("F1 03 20 64 01 00 6B")
-    assert registers.fast_target(3200) == bytes.fromhex("FC 00 00 0C 80 6B")
-    assert registers.fast_target(-3200) == bytes.fromhex("FC FF FF F3 80 6B")
+    assert protocol.fast_setup(800, 100) == bytes.fromhex("F1 03 20 64 01 00 6B")
+    assert protocol.fast_target(3200) == bytes.fromhex("FC 00 00 0C 80 6B")
+    assert protocol.fast_target(-3200) == bytes.fromhex("FC FF FF F3 80 6B")
 
 
 def test_the_watchdog_of_the_facts():
-    assert registers.write_watchdog(5000, store=True) == bytes.fromhex("68 38 01 00 00 13 88 6B")
+    assert protocol.write_watchdog(5000, store=True) == bytes.fromhex("68 38 01 00 00 13 88 6B")
 
 
 @pytest.mark.parametrize(
@@ -115,42 +115,42 @@ def test_the_watchdog_of_the_facts():
     ],
 )
 def test_versions(answer: str, text: str, newer: bool, known: bool):
-    version = registers.version_of(bytes.fromhex(answer))
+    version = protocol.version_of(bytes.fromhex(answer))
     assert version is not None
     assert (str(version), version.hardware, version.newer, version.known) == (text, 111, newer, known)
 
 
 def test_the_homing_parameters_of_the_facts():
-    found = registers.homing_of(bytes.fromhex("22 00 00 00 1E 00 00 27 10 01 2C 03 20 00 3C 00 6B"))
-    assert found == registers.HomingParameters(0, 0, 30, 10_000, 300, 800, 60, 0)
+    found = protocol.homing_of(bytes.fromhex("22 00 00 00 1E 00 00 27 10 01 2C 03 20 00 3C 00 6B"))
+    assert found == protocol.HomingParameters(0, 0, 30, 10_000, 300, 800, 60, 0)
 
 
 def test_signed_numbers_of_the_facts():
-    assert registers.signed_of(bytes.fromhex("35 01 05 DC 6B"), registers.ASK_SPEED, 2) == -1500
-    assert registers.signed_of(bytes.fromhex("36 01 00 01 00 00 6B"), registers.ASK_POSITION, 4) == -65536
-    assert registers.number_of(bytes.fromhex("24 5C 6A 6B"), registers.ASK_SUPPLY, 2) == 23_658
+    assert protocol.signed_of(bytes.fromhex("35 01 05 DC 6B"), protocol.ASK_SPEED, 2) == -1500
+    assert protocol.signed_of(bytes.fromhex("36 01 00 01 00 00 6B"), protocol.ASK_POSITION, 4) == -65536
+    assert protocol.number_of(bytes.fromhex("24 5C 6A 6B"), protocol.ASK_SUPPLY, 2) == 23_658
 
 
 @given(st.binary(max_size=40))
 def test_any_answer_is_understood_or_not_understood(answer: bytes):
-    for read in (registers.block_of, registers.homing_of, registers.version_of):
+    for read in (protocol.block_of, protocol.homing_of, protocol.version_of):
         read(answer or None)
-    registers.signed_of(answer or None, registers.ASK_POSITION, 4)
+    protocol.signed_of(answer or None, protocol.ASK_POSITION, 4)
 
 
 @given(st.binary(min_size=28, max_size=28))
 def test_any_block_is_written_as_it_was_read(data: bytes):
-    block = registers.block_of(b"\x42\x21\x15" + data + b"\x6b")
+    block = protocol.block_of(b"\x42\x21\x15" + data + b"\x6b")
     assert block is not None
     sent = bytearray(data)
     sent[7] = sent[16] = 0  # screen and address
-    assert registers.write_block(block, store=False) == b"\x48\xd1\x00" + sent + b"\x6b"
+    assert protocol.write_block(block, store=False) == b"\x48\xd1\x00" + sent + b"\x6b"
 
 
 @given(st.binary(min_size=17, max_size=17), st.binary(min_size=10, max_size=10))
 def test_a_block_changes_only_where_the_file_and_the_drive_differ(before: bytes, after: bytes):
-    block = registers.block_of(b"\x42\x21\x15" + before + b"\x00" + after + b"\x6b")  # with the checksum 6B
-    found = Reading(registers.Version(200, 111, newer=True), block, flags=1, rpm=0, position_counts=0)
+    block = protocol.block_of(b"\x42\x21\x15" + before + b"\x00" + after + b"\x6b")  # with the checksum 6B
+    found = Reading(protocol.Version(200, 111, newer=True), block, flags=1, rpm=0, position_counts=0)
     report = report_of(wanting({"acknowledge": True}, **WANTED), 0, found)
     assert block is not None and report.left_alone == []
     changed = asdict(wanted_block(block, report.to_write))
