@@ -1,0 +1,298 @@
+"""Where a thread's time went: trace events in, segments out that add up to the interval exactly.
+
+Nothing here knows of arms. What a processor was doing is followed from event to event (task, interrupts and softirqs on
+top of it), and so is the thread (asleep, ready, running, stopped). Between two events both are constant, and the pair of
+them is the cause. What is not known from an event before is unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from typing import NamedTuple
+
+from rtarm.why_late.causes import Cause
+from rtarm.why_late.events import (
+    NORMAL_PRIO,
+    Enter,
+    Event,
+    Exit,
+    Fault,
+    Lost,
+    Moved,
+    Sent,
+    Signal,
+    Switch,
+    Task,
+    Woken,
+    Work,
+)
+
+FAULT_NS = 20_000
+"""A page fault lasts until the thread's next event, and at most so long: its end is no event.
+
+What is beyond may be a slow fault or the thread's own work, so it is unknown.
+"""
+STILL_NS = 100_000
+"""A processor that was taken away for less than this is not told from one that is slow."""
+SENT = ("call_function", "call_function_single", "reschedule", "irq_work", "ipi")
+"""Interrupts that processors send each other."""
+STOPPING_SIGNALS = {19: "SIGSTOP", 20: "SIGTSTP", 21: "SIGTTIN", 22: "SIGTTOU"}
+
+
+class Segment(NamedTuple):
+    """A stretch of time with one cause; `who` names the interrupt, task or signal, "" where there is nothing to name."""
+
+    start_ns: int
+    end_ns: int
+    cause: Cause
+    who: str = ""
+
+    @property
+    def length_ns(self) -> int:
+        return self.end_ns - self.start_ns
+
+
+NO_TIMER = -1
+
+
+class _Is(Enum):
+    RUNNING = auto()
+    READY = auto()
+    ASLEEP = auto()
+    BLOCKED = auto()
+    STOPPED = auto()
+    UNKNOWN = auto()
+
+
+@dataclass
+class _Processor:
+    task: Task | None = None
+    entered: list[Enter] = field(default_factory=list)
+    work: str = ""
+    sender: str = ""
+
+
+@dataclass
+class _Thread:
+    tid: int
+    state: _Is = _Is.UNKNOWN
+    cpu: int = -1
+    moved: bool = False
+    prio: int | None = None
+    fault_ns: int | None = None
+    who: str = ""
+
+
+def divide(events: Sequence[Event], tid: int, start_ns: int, end_ns: int) -> list[Segment]:
+    """The causes of an interval of a thread; `events` in order, from well before it on.
+
+    The segments follow each other without a gap from start to end; neighbours differ in cause or name.
+    """
+    found: list[Segment] = []
+    processors: dict[int, _Processor] = {}
+    thread = _Thread(tid)
+    woken = _woken_from(events, tid)
+    now_ns = start_ns
+    for number, event in enumerate(events):
+        until_ns = min(event.time_ns, end_ns)
+        if until_ns > now_ns:
+            found += _constant(processors, thread, now_ns, until_ns)
+            now_ns = until_ns
+        if event.time_ns >= end_ns:
+            break
+        _follow(processors.setdefault(event.cpu, _Processor()), thread, event, woken.get(number))
+        if isinstance(event.what, Sent):
+            for cpu in event.what.cpus:
+                processors.setdefault(cpu, _Processor()).sender = _named(event.task)
+    found += _constant(processors, thread, now_ns, end_ns)
+    return list(_merged(found))
+
+
+def stood_still(segments: Iterable[Segment], stolen_ns: int) -> list[Segment]:
+    """The same, with what the host's own count of the time that it took explains.
+
+    `stolen_ns` is what was counted of the thread's processor around the interval. The longest silences come first, so
+    that nothing is explained twice.
+    """
+    given = list(segments)
+    silent = (Cause.TIMER_IDLE, Cause.MASKED, Cause.OWN, Cause.IDLE_EXIT)
+    for number in sorted(range(len(given)), key=lambda one: -given[one].length_ns):
+        segment = given[number]
+        if segment.cause in silent and 2 * stolen_ns >= segment.length_ns >= STILL_NS:
+            given[number] = segment._replace(cause=Cause.STOOD_STILL)
+            stolen_ns -= segment.length_ns
+    return list(_merged(given))
+
+
+def _woken_from(events: Sequence[Event], tid: int) -> dict[int, int]:
+    """By the number of the event with which the thread went to sleep: the processor whose timer woke it, or NO_TIMER."""
+    found: dict[int, int] = {}
+    asleep: int | None = None
+    timers: set[int] = set()
+    for number, event in enumerate(events):
+        match event.what:
+            case Enter(timer=True):
+                timers.add(event.cpu)
+            case Exit(key="hrtimer") | Switch() if event.cpu in timers:
+                timers.discard(event.cpu)
+        match event.what:
+            case Switch(before=before) if before.pid == tid:
+                asleep = number
+            case Woken(pid=pid) if pid == tid and asleep is not None:
+                found[asleep] = event.cpu if event.cpu in timers else NO_TIMER
+                asleep = None
+    return found
+
+
+def _follow(processor: _Processor, thread: _Thread, event: Event, woken: int | None) -> None:
+    """Take an event into account; `woken` as `_woken_from` says of it, None where that was not seen."""
+    what, tid = event.what, thread.tid
+    if isinstance(what, Lost):
+        processor.task, processor.entered = None, []
+        if thread.cpu == event.cpu:
+            thread.state = _Is.UNKNOWN
+        return
+    if not isinstance(what, Switch) and (processor.task is None or processor.task.pid != event.task.pid):
+        processor.task = event.task
+        if event.task.pid == tid:
+            thread.state, thread.cpu = _Is.RUNNING, event.cpu
+    if event.task.pid == tid and not processor.entered and not isinstance(what, Switch | Enter):
+        thread.fault_ns = None  # its next event ends a fault
+    match what:
+        case Switch():
+            processor.task, processor.entered, processor.work = what.after, [], ""
+            if what.before.pid == tid:
+                thread.cpu, thread.prio, thread.moved = event.cpu, what.before.prio, False
+                _leave(thread, what.state, woken)
+            elif what.after.pid == tid:
+                thread.state, thread.cpu, thread.prio = _Is.RUNNING, event.cpu, what.after.prio
+        case Enter():
+            processor.entered.append(_with_sender(what, processor))
+        case Exit():
+            keys = [one.key for one in processor.entered]
+            if what.key in keys:
+                del processor.entered[keys.index(what.key) :]
+        case Fault() if event.task.pid == tid:
+            thread.fault_ns = event.time_ns
+        case Work():
+            processor.work = what.function
+        case Woken() if what.pid == tid and thread.state is not _Is.RUNNING:
+            thread.state, thread.cpu = _Is.READY, what.cpu
+        case Moved() if what.pid == tid:
+            thread.moved, thread.cpu = thread.moved or what.cpu != thread.cpu, what.cpu
+        case Signal() if what.number in STOPPING_SIGNALS:
+            thread.who = f"{STOPPING_SIGNALS[what.number]} from {_named(event.task)}"
+
+
+def _leave(thread: _Thread, state: str, woken: int | None) -> None:
+    """The thread gave up its processor, or lost it."""
+    faulting, thread.fault_ns = thread.fault_ns is not None, None
+    match state[0]:
+        case "R":
+            thread.state = _Is.READY
+        case "T" | "t":
+            thread.state = _Is.STOPPED
+            thread.who = thread.who if state[0] == "T" else "a debugger"
+        case _ if woken is None:
+            thread.state = _Is.UNKNOWN
+        case _ if woken == NO_TIMER:
+            thread.state, thread.who = _Is.BLOCKED, "page fault" if faulting else ""
+        case _:
+            thread.state, thread.cpu = _Is.ASLEEP, woken
+
+
+def _constant(processors: dict[int, _Processor], thread: _Thread, start_ns: int, end_ns: int) -> list[Segment]:
+    """The time between two events."""
+    if end_ns <= start_ns:
+        return []
+    cause, who = _why(processors.get(thread.cpu), thread)
+    if cause is not Cause.PAGE_FAULT or thread.fault_ns is None:
+        return [Segment(start_ns, end_ns, cause, who)]
+    border_ns = min(max(thread.fault_ns + FAULT_NS, start_ns), end_ns)
+    parts = (
+        Segment(start_ns, border_ns, cause, who),
+        Segment(border_ns, end_ns, Cause.UNKNOWN, "a slow page fault, or our own work after it"),
+    )
+    return [part for part in parts if part.length_ns]
+
+
+def _why(processor: _Processor | None, thread: _Thread) -> tuple[Cause, str]:
+    """The cause, and its name, as long as nothing happens."""
+    match thread.state:
+        case _Is.UNKNOWN:
+            return Cause.UNKNOWN, ""
+        case _Is.STOPPED:
+            return Cause.STOPPED, thread.who
+        case _Is.BLOCKED:
+            return (Cause.PAGE_FAULT, "") if thread.who else (Cause.BLOCKED, "")
+    if processor is None or processor.task is None:
+        return Cause.UNKNOWN, ""
+    task, above = processor.task, processor.entered
+    hard = [one for one in above if one.hard]
+    if hard:
+        return Cause.INTERRUPT, ": ".join(one.name for one in hard[-2:])
+    if thread.state is _Is.ASLEEP:
+        return _why_no_timer(task, above)
+    if above:
+        return Cause.SOFTIRQ, above[-1].name
+    if thread.state is _Is.RUNNING:
+        return (Cause.OWN, "") if thread.fault_ns is None else (Cause.PAGE_FAULT, "")
+    if task.pid == thread.tid:
+        return Cause.UNKNOWN, ""
+    if task.is_idle:
+        return (Cause.MIGRATION if thread.moved else Cause.IDLE_EXIT), ""
+    return Cause.TASK, _described(task, processor.work, thread.prio)
+
+
+def _why_no_timer(task: Task, above: Sequence[Enter]) -> tuple[Cause, str]:
+    """Why the timer that is due does not fire; softirqs and tasks let it, unless they forbid interrupts."""
+    if above:
+        return Cause.MASKED, f"softirq {above[-1].name}"
+    return (Cause.TIMER_IDLE, "") if task.is_idle else (Cause.MASKED, _named(task))
+
+
+def _described(task: Task, work: str, own_prio: int | None) -> str:
+    """A task that runs while we wait, and why it may."""
+    named = _named(task) + (f", {work}" if work else "")
+    if task.name.startswith("migration/"):
+        return f"{named}: the kernel's stopper, before all others"
+    if task.prio is None or own_prio is None:
+        return named
+    priority = f"real-time {99 - task.prio}" if task.prio < NORMAL_PRIO else f"nice {task.prio - 120}"
+    if task.prio < own_prio:
+        why = "before us"
+    elif own_prio >= NORMAL_PRIO:
+        why = "we have no real-time priority"
+    elif task.prio == own_prio:
+        why = "same as ours, and came first"
+    else:
+        why = "behind us, but could not be interrupted at once"
+    return f"{named} ({priority}: {why})"
+
+
+def _named(task: Task) -> str:
+    return f"{task.name} {task.pid}"
+
+
+def _with_sender(entered: Enter, processor: _Processor) -> Enter:
+    """An interrupt that another processor asked for, with who did."""
+    if entered.key not in SENT or not processor.sender:
+        return entered
+    sender, processor.sender = processor.sender, ""
+    return entered._replace(name=f"{entered.name} from {sender}")
+
+
+def _merged(segments: Iterable[Segment]) -> Iterable[Segment]:
+    """Neighbours with the same cause and name as one."""
+    last: Segment | None = None
+    for segment in segments:
+        if last is not None and (last.cause, last.who) == (segment.cause, segment.who):
+            last = last._replace(end_ns=segment.end_ns)
+            continue
+        if last is not None:
+            yield last
+        last = segment
+    if last is not None:
+        yield last

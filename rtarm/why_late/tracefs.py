@@ -1,0 +1,130 @@
+"""The kernel's ring of trace events, in an instance of our own, so that nobody else's settings are touched."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from rtarm.console.errors import Refusal
+from rtarm.processes import is_alive
+
+PLACES = (Path("/sys/kernel/tracing"), Path("/sys/kernel/debug/tracing"))
+NAME = "rtarm-"
+RING_KB = 1024
+"""Of each processor: 20,000 events and more."""
+
+EVENTS: dict[str, str] = {
+    "sched/sched_switch": "",
+    "sched/sched_waking": "pid == {tid}",
+    "sched/sched_wakeup": "pid == {tid}",
+    "sched/sched_migrate_task": "pid == {tid}",
+    "irq/irq_handler_entry": "",
+    "irq/irq_handler_exit": "",
+    "irq/softirq_entry": "",
+    "irq/softirq_exit": "",
+    "irq_vectors/*_entry": "",
+    "irq_vectors/*_exit": "",
+    "ipi/ipi_*": "",
+    "timer/hrtimer_expire_entry": "",
+    "timer/hrtimer_expire_exit": "",
+    "workqueue/workqueue_execute_start": "",
+    "workqueue/workqueue_execute_end": "",
+    "exceptions/page_fault_*": "common_pid == {tid}",
+    "signal/signal_generate": "sig >= 19 && sig <= 22",
+}
+"""What is traced, as far as the machine has it, and the filter that keeps what nobody asks for out of the ring."""
+NEEDED = ("sched/sched_switch", "sched/sched_waking")
+
+
+class NotTraced(Refusal):
+    """Trace events cannot be read here; the sentence says why and what to do."""
+
+
+def place() -> Path:
+    """Where the kernel's trace is mounted; it is not mounted here.
+
+    Raises:
+        NotTraced: nowhere, or it may not be used.
+    """
+    if not any(_is_there(path) for path in PLACES):
+        raise NotTraced(
+            "Trace events cannot be read here, since tracefs is not mounted or may not be looked at: as root, "
+            f"`mount -t tracefs nodev {PLACES[0]}`, then try again as root."
+        )
+    for path in PLACES:
+        if os.access(path / "instances", os.W_OK):
+            return path
+    raise NotTraced("Trace events cannot be read here without permission: try again as root, with `sudo`.")
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return (path / "instances").is_dir()
+    except OSError:
+        return False
+
+
+class Trace:
+    """The ring, while it is written."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def lines(self) -> Sequence[str]:
+        """What stands in the ring now, in the order of time; writing goes on meanwhile."""
+        return (self._folder / "trace").read_text(encoding="utf-8", errors="replace").splitlines()
+
+
+@contextlib.contextmanager
+def traced(tid: int, ring_kb: int = RING_KB) -> Iterator[Trace]:
+    """A ring of the events that concern a thread, gone at the end; what killed ones have left goes now.
+
+    Raises:
+        NotTraced: it cannot be had.
+    """
+    instances = place() / "instances"
+    for left in instances.glob(f"{NAME}*"):
+        if not is_alive(int(left.name.removeprefix(NAME))):
+            _remove(left)
+    folder = instances / f"{NAME}{os.getpid()}"
+    try:
+        folder.mkdir()
+        try:
+            _set_up(folder, tid, ring_kb)
+            yield Trace(folder)
+        finally:
+            _remove(folder)
+    except FileExistsError:
+        raise NotTraced("This process reads trace events already: let that end first.") from None
+
+
+def _set_up(folder: Path, tid: int, ring_kb: int) -> None:
+    try:
+        (folder / "tracing_on").write_text("0")
+        (folder / "trace_clock").write_text("mono")
+        (folder / "buffer_size_kb").write_text(str(ring_kb))
+        for pattern, wanted in EVENTS.items():
+            group, _, name = pattern.partition("/")
+            found = [event for event in (folder / "events" / group).glob(name) if event.is_dir()]
+            if not found and pattern in NEEDED:
+                raise NotTraced(f"Trace events cannot be read here: this kernel has no event {pattern}.")
+            for event in found:
+                if wanted:
+                    (event / "filter").write_text(wanted.format(tid=tid))
+                (event / "enable").write_text("1")
+        (folder / "tracing_on").write_text("1")
+    except OSError as error:
+        raise NotTraced(
+            f"Trace events cannot be read here: {error.filename} refuses what is asked for ({error.strerror})."
+        ) from None
+
+
+def _remove(folder: Path) -> None:
+    """Give an instance back to the kernel."""
+    with contextlib.suppress(OSError):
+        (folder / "tracing_on").write_text("0")
+        (folder / "events/enable").write_text("0")
+    with contextlib.suppress(OSError):  # somebody just reads it: the next start removes it
+        folder.rmdir()
