@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rtarm.console.errors import Refusal
-from rtarm.processes import is_alive
 
 PLACES = (Path("/sys/kernel/tracing"), Path("/sys/kernel/debug/tracing"))
 NAME = "rtarm-"
@@ -86,18 +85,20 @@ def traced(tid: int, ring_kb: int = RING_KB) -> Iterator[Trace]:
     """
     instances = place() / "instances"
     for left in instances.glob(f"{NAME}*"):
-        if not is_alive(int(left.name.removeprefix(NAME))):
-            _remove(left)
+        _remove(left)
     folder = instances / f"{NAME}{os.getpid()}"
     try:
         folder.mkdir()
-        try:
-            _set_up(folder, tid, ring_kb)
-            yield Trace(folder)
-        finally:
-            _remove(folder)
     except FileExistsError:
         raise NotTraced("This process reads trace events already: let that end first.") from None
+    except OSError as error:
+        raise NotTraced(f"Trace events cannot be read here: {folder} cannot be made ({error.strerror}).") from None
+    try:
+        with open(folder / "trace_marker", "wb"):  # as long as it is open, nobody removes it as left behind
+            _set_up(folder, tid, ring_kb)
+            yield Trace(folder)
+    finally:
+        _remove(folder)
 
 
 def _set_up(folder: Path, tid: int, ring_kb: int) -> None:
@@ -122,9 +123,6 @@ def _set_up(folder: Path, tid: int, ring_kb: int) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Give an instance back to the kernel."""
+    """Give an instance back to the kernel, unless somebody uses it."""
     with contextlib.suppress(OSError):
-        (folder / "tracing_on").write_text("0")
-        (folder / "events/enable").write_text("0")
-    with contextlib.suppress(OSError):  # somebody just reads it: the next start removes it
         folder.rmdir()
