@@ -45,7 +45,7 @@ ROOMS_OF_RTARM = (
     ("running", "scan"),
     ("top",),
     ("recording",),
-    ("launch",),
+    ("launch", "why_late"),
     ("client", "drives", "led"),
     ("arm", "calibrate", "demo", "teach", "view"),
     ("bench", "commissioning", "jog", "replay"),

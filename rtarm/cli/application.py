@@ -33,6 +33,7 @@ from rtarm.cli.motions import motions_app
 from rtarm.cli.orders import orders
 from rtarm.cli.recordings import recordings_app
 from rtarm.cli.view import view_app
+from rtarm.cli.why_late import why_late_app
 from rtarm.console.errors import ExitCode, Refusal
 
 if TYPE_CHECKING:
@@ -320,5 +321,6 @@ app.add_typer(calibrate_app)
 app.add_typer(commission_app)
 app.add_typer(view_app)
 app.add_typer(motions_app)
+app.add_typer(why_late_app)
 
 __all__ = ["app"]

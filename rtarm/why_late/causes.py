@@ -50,6 +50,6 @@ MEANINGS: dict[Cause, str] = {
     Cause.PAGE_FAULT: "The cycle touched a page that the kernel had to fetch first.",
     Cause.STOPPED: "A signal or a debugger had stopped the process.",
     Cause.BLOCKED: "The cycle waited in a system call for something else than its timer.",
-    Cause.OWN: "The cycle itself computed.",
+    Cause.OWN: "The cycle itself ran: what it computes, or its way out of the sleep.",
     Cause.UNKNOWN: "What was seen does not tell.",
 }

@@ -1,8 +1,8 @@
 """Where a thread's time went: trace events in, segments out that add up to the interval exactly.
 
-Nothing here knows of arms. What a processor was doing is followed from event to event (task, interrupts and softirqs on
-top of it), and so is the thread (asleep, ready, running, stopped). Between two events both are constant, and the pair of
-them is the cause. What is not known from an event before is unknown.
+Nothing here knows of arms. What a processor was doing is followed from event to event (task, interrupts and softirqs
+on top of it), and so is the thread (asleep, ready, running, stopped). Between two events both are constant, and the
+pair of them is the cause. What is not known from an event before is unknown.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ STOPPING_SIGNALS = {19: "SIGSTOP", 20: "SIGTSTP", 21: "SIGTTIN", 22: "SIGTTOU"}
 
 
 class Segment(NamedTuple):
-    """A stretch of time with one cause; `who` names the interrupt, task or signal, "" where there is nothing to name."""
+    """A stretch of time with one cause; `who` names the interrupt, task or signal, "" where there is none."""
 
     start_ns: int
     end_ns: int
@@ -127,7 +127,7 @@ def stood_still(segments: Iterable[Segment], stolen_ns: int) -> list[Segment]:
 
 
 def _woken_from(events: Sequence[Event], tid: int) -> dict[int, int]:
-    """By the number of the event with which the thread went to sleep: the processor whose timer woke it, or NO_TIMER."""
+    """The processor whose timer woke the thread, or NO_TIMER, by the number of the event with which it fell asleep."""
     found: dict[int, int] = {}
     asleep: int | None = None
     timers: set[int] = set()

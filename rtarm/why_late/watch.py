@@ -30,9 +30,14 @@ HISTORY_NS = 25_000_000
 MOST_A_LOOK = 50
 """Late cycles that are divided at a look, the latest ones; the others are counted."""
 MOST_KEPT = 100_000
+TELLING_S = 0.3
 USUAL = 1000
 """Cycles of which the usual time is taken."""
 _TICK_NS = 1_000_000_000 // os.sysconf("SC_CLK_TCK")
+
+
+Lines = Callable[[], Sequence[str]]
+"""Reads the trace."""
 
 
 class Cycle(NamedTuple):
@@ -111,7 +116,7 @@ class Watcher:
         undivided: late ones that were too many for a look.
     """
 
-    def __init__(self, source: Source, tid: int, lines: Callable[[], Sequence[str]], bound_ns: int) -> None:
+    def __init__(self, source: Source, tid: int, lines: Lines, bound_ns: int) -> None:
         self.late: list[Late] = []
         self.cycles = 0
         self.undivided = 0
@@ -120,6 +125,11 @@ class Watcher:
         self._waiting: list[Cycle] = []
         self._usual: deque[int] = deque(maxlen=USUAL)
         self._stolen: deque[tuple[int, int]] = deque([(time.monotonic_ns(), stolen_ns(cpu_of(tid)))], maxlen=200)
+
+    @property
+    def count(self) -> int:
+        """Late ones so far, divided or not."""
+        return len(self.late) + self.undivided
 
     def look(self, settle_ns: int = SETTLE_NS) -> None:
         """Take what is new; to be called every `LOOK_S` or so, since the ring is overwritten."""
@@ -182,7 +192,9 @@ def stolen_ns(cpu: int) -> int:
 
 
 def cycle_thread(pid: int) -> int:
-    """The thread of a control process that runs its cycle: of the highest priority, else the one that sleeps most often.
+    """The thread of a control process that runs its cycle.
+
+    It has the highest priority; where none has any, it sleeps most often.
 
     Raises:
         OSError: the process is gone.
@@ -195,9 +207,6 @@ def cycle_thread(pid: int) -> int:
     before = {tid: _sleeps(pid, tid) for tid in tids}
     time.sleep(TELLING_S)
     return max(tids, key=lambda tid: _sleeps(pid, tid) - before[tid])
-
-
-TELLING_S = 0.3
 
 
 def _sleeps(pid: int, tid: int) -> int:

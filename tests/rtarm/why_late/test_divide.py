@@ -1,4 +1,4 @@
-"""Where a thread's time goes: events that are known give known causes, and any events give segments that fit together."""
+"""Where a thread's time goes: known events give known causes, and any events give segments that fit together."""
 
 from __future__ import annotations
 

@@ -1,0 +1,91 @@
+"""`rtarm why-late`: watch a running arm for a while, and tell why its cycles were late."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from rtarm.console.errors import Refusal
+from rtarm.console.interrupt import signals_noted
+from rtarm.console.niceness import done_by, nice_thread
+from rtarm.running.status import open_running, resolve_arm
+from rtarm.why_late import plot
+from rtarm.why_late.hints import Hints
+from rtarm.why_late.report import report_of
+from rtarm.why_late.tracefs import NotTraced, traced
+from rtarm.why_late.watch import LOOK_S, ArmCycles, Lines, Watcher, cpu_of, cycle_thread
+from shm import files
+from shm.files import MemoryFile
+
+SHORTEST_S, LONGEST_S = 0.5, 86_400.0
+LEAST_US, MOST_US = 10.0, 1_000_000.0
+
+
+def why_late(arm: str | None, seconds: float, bound_us: float, plot_file: Path | None) -> dict[str, Any]:
+    """Watch for so many seconds, or until a signal; what was found.
+
+    Raises:
+        Refusal, SharedMemoryError: there is no such arm, or what was asked for makes no sense.
+    """
+    for name, value, unit, least, most in (
+        ("--seconds", seconds, "s", SHORTEST_S, LONGEST_S),
+        ("--bound-us", bound_us, "µs", LEAST_US, MOST_US),
+    ):
+        if not least <= value <= most:
+            raise Refusal(f"{name} is {value:g}, allowed are {least:g} to {most:g} {unit}: give another one.")
+    if plot_file is not None:
+        plot.check(plot_file)
+    memory = open_running(resolve_arm(arm))
+    try:
+        report = _watched(memory, seconds, bound_us)
+    finally:
+        memory.close()
+    if plot_file is not None:
+        plot.draw(report, plot_file)
+    return report
+
+
+def _watched(memory: MemoryFile, seconds: float, bound_us: float) -> dict[str, Any]:
+    name, pid = files.arm_name(memory.record["header"]), int(memory.record["header"]["pid"])
+    notes: list[str] = []
+    try:
+        tid = cycle_thread(pid)
+    except OSError as error:
+        raise Refusal(
+            f"The control process of {name} (pid {pid}) cannot be looked at ({error.strerror}): run this as the same "
+            "user, on the same machine and in the same container."
+        ) from None
+    with signals_noted() as wait, nice_thread() as thread, contextlib.ExitStack() as stack:
+        hints: Hints | None = None
+        lines: Lines = list  # no trace, so that nothing is known but that a cycle was late
+        try:
+            lines = stack.enter_context(traced(tid)).lines
+        except NotTraced as reason:
+            notes.append(f"{reason.sentence} Without them no causes are known.")
+            hints = Hints(tid)
+        watcher = Watcher(ArmCycles(memory), tid, lines, round(bound_us * 1000))
+        thread.submit(_keep_off, cpu_of(tid)).result()
+        began_s, ended = time.monotonic(), False
+        while not ended:
+            rest_s = began_s + seconds - time.monotonic()
+            ended = bool(wait(min(LOOK_S, rest_s))) or rest_s <= LOOK_S
+            late = watcher.count
+            done_by(thread, watcher.look)
+            if hints is not None:
+                hints.look(late=watcher.count > late)
+            if not ended and not files.is_held(memory.fd):
+                notes.append("The control process has ended meanwhile.")
+                ended = True
+        report = report_of(name, time.monotonic() - began_s, bound_us, watcher, notes)
+        return {**report, "traced": hints is None, "hints": [] if hints is None else hints.told()}
+
+
+def _keep_off(cpu: int) -> None:
+    """This thread uses other processors than the cycle's, where there are others."""
+    others = os.sched_getaffinity(0) - {cpu}
+    if others:
+        os.sched_setaffinity(threading.get_native_id(), others)
