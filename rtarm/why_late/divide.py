@@ -82,7 +82,8 @@ class _Thread:
     moved: bool = False
     prio: int | None = None
     fault_ns: int | None = None
-    who: str = ""
+    stopped_by: str = ""
+    faulting: bool = False
 
 
 def divide(events: Sequence[Event], tid: int, start_ns: int, end_ns: int) -> list[Segment]:
@@ -183,7 +184,7 @@ def _follow(processor: _Processor, thread: _Thread, event: Event, woken: int | N
         case Moved() if what.pid == tid:
             thread.moved, thread.cpu = thread.moved or what.cpu != thread.cpu, what.cpu
         case Signal() if what.number in STOPPING_SIGNALS:
-            thread.who = f"{STOPPING_SIGNALS[what.number]} from {_named(event.task)}"
+            thread.stopped_by = f"{STOPPING_SIGNALS[what.number]} from {_named(event.task)}"
 
 
 def _leave(thread: _Thread, state: str, woken: int | None) -> None:
@@ -194,11 +195,11 @@ def _leave(thread: _Thread, state: str, woken: int | None) -> None:
             thread.state = _Is.READY
         case "T" | "t":
             thread.state = _Is.STOPPED
-            thread.who = thread.who if state[0] == "T" else "a debugger"
+            thread.stopped_by = thread.stopped_by if state[0] == "T" else "a debugger"
         case _ if woken is None:
             thread.state = _Is.UNKNOWN
         case _ if woken == NO_TIMER:
-            thread.state, thread.who = _Is.BLOCKED, "page fault" if faulting else ""
+            thread.state, thread.faulting = _Is.BLOCKED, faulting
         case _:
             thread.state, thread.cpu = _Is.ASLEEP, woken
 
@@ -224,9 +225,9 @@ def _why(processor: _Processor | None, thread: _Thread) -> tuple[Cause, str]:
         case _Is.UNKNOWN:
             return Cause.UNKNOWN, ""
         case _Is.STOPPED:
-            return Cause.STOPPED, thread.who
+            return Cause.STOPPED, thread.stopped_by
         case _Is.BLOCKED:
-            return (Cause.PAGE_FAULT, "") if thread.who else (Cause.BLOCKED, "")
+            return (Cause.PAGE_FAULT, "") if thread.faulting else (Cause.BLOCKED, "")
     if processor is None or processor.task is None:
         return Cause.UNKNOWN, ""
     task, above = processor.task, processor.entered

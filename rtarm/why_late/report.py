@@ -31,11 +31,6 @@ def causes_of(late: Sequence[Late]) -> list[dict[str, Any]]:
         if took_ns == 0:
             continue
         chiefly = [one for one in late if one.cause is cause]
-        names: Counter[str] = Counter()
-        for one in late:
-            for segment in one.segments:
-                if segment.cause is cause and segment.who:
-                    names[segment.who] += segment.length_ns
         worst = max(chiefly, key=lambda one: one.length_ns, default=None)
         found.append(
             {
@@ -43,11 +38,27 @@ def causes_of(late: Sequence[Late]) -> list[dict[str, Any]]:
                 "cycles": len(chiefly),
                 "us": took_ns / 1000,
                 "share": took_ns / total_ns,
-                "mostly": [{"who": who, "us": ns / 1000} for who, ns in names.most_common(MOSTLY)],
+                "mostly": [{"who": who, "us": ns / 1000} for who, ns in mostly(late, cause)],
                 "worst": None if worst is None else _plain(worst),
             }
         )
     return sorted(found, key=lambda one: -one["us"])
+
+
+def mostly(late: Iterable[Late], cause: Cause) -> list[tuple[str, int]]:
+    """Who is named with a cause, and for how many ns, those with most time first."""
+    names: Counter[str] = Counter()
+    for one in late:
+        names.update(_names(segment for segment in one.segments if segment.cause is cause))
+    return names.most_common(MOSTLY)
+
+
+def _names(segments: Iterable[Segment]) -> Counter[str]:
+    names: Counter[str] = Counter()
+    for segment in segments:
+        if segment.who:
+            names[segment.who] += segment.length_ns
+    return names
 
 
 def report_of(arm: str, seconds: float, bound_us: float, watcher: Watcher, notes: Iterable[str]) -> dict[str, Any]:
@@ -84,7 +95,7 @@ def _plain(late: Late) -> dict[str, Any]:
 
 
 def time_line(segments: Sequence[Segment]) -> list[Segment]:
-    """The segments with the short ones left out, and neighbours of one cause together under the longest's name."""
+    """The segments with the short ones left out, and neighbours of one cause together under its chief name."""
     least_ns = SHORT * (segments[-1].end_ns - segments[0].start_ns)
     groups: list[list[Segment]] = []
     for segment in segments:
@@ -95,8 +106,8 @@ def time_line(segments: Sequence[Segment]) -> list[Segment]:
     found = []
     for group in groups:
         if group[-1].end_ns - group[0].start_ns >= least_ns:
-            longest = max(group, key=lambda one: one.length_ns)
-            found.append(longest._replace(start_ns=group[0].start_ns, end_ns=group[-1].end_ns))
+            who = next((name for name, _ in _names(group).most_common(1)), "")
+            found.append(Segment(group[0].start_ns, group[-1].end_ns, group[0].cause, who))
     return found
 
 

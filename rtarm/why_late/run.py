@@ -17,7 +17,7 @@ from rtarm.why_late import plot
 from rtarm.why_late.hints import Hints
 from rtarm.why_late.report import report_of
 from rtarm.why_late.tracefs import NotTraced, traced
-from rtarm.why_late.watch import LOOK_S, ArmCycles, Lines, Watcher, cpu_of, cycle_thread
+from rtarm.why_late.watch import LOOK_S, ArmCycles, Traced, Watcher, cpu_of, cycle_thread
 from shm import files
 from shm.files import MemoryFile
 
@@ -61,13 +61,13 @@ def _watched(memory: MemoryFile, seconds: float, bound_us: float) -> dict[str, A
         ) from None
     with signals_noted() as wait, nice_thread() as thread, contextlib.ExitStack() as stack:
         hints: Hints | None = None
-        lines: Lines = list  # no trace, so that nothing is known but that a cycle was late
+        trace: Traced = str  # nothing, so that nothing is known but that a cycle was late
         try:
-            lines = stack.enter_context(traced(tid)).lines
+            trace = stack.enter_context(traced(tid)).read
         except NotTraced as reason:
             notes.append(f"{reason.sentence} Without them no causes are known.")
             hints = Hints(tid)
-        watcher = Watcher(ArmCycles(memory), tid, lines, round(bound_us * 1000))
+        watcher = Watcher(ArmCycles(memory), tid, trace, round(bound_us * 1000))
         thread.submit(_keep_off, cpu_of(tid)).result()
         began_s, ended = time.monotonic(), False
         while not ended:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from rtarm.console.errors import Refusal
@@ -13,6 +13,9 @@ PLACES = (Path("/sys/kernel/tracing"), Path("/sys/kernel/debug/tracing"))
 NAME = "rtarm-"
 RING_KB = 1024
 """Of each processor: 20,000 events and more."""
+READ_BYTES = 1 << 16
+MOST_READS = 20_000
+"""Of a page at the most each: where events come faster than they are read, this ends."""
 
 EVENTS: dict[str, str] = {
     "sched/sched_switch": "",
@@ -66,14 +69,22 @@ def _is_there(path: Path) -> bool:
 
 
 class Trace:
-    """The ring, while it is written."""
+    """The ring, while it is written; each event is read once."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
 
-    def lines(self) -> Sequence[str]:
-        """What stands in the ring now, in the order of time; writing goes on meanwhile."""
-        return (self._folder / "trace").read_text(encoding="utf-8", errors="replace").splitlines()
+    def read(self) -> str:
+        """What was traced since the last time, in the order of time; never waits.
+
+        To be called a few times in the time that it takes to fill the ring. Events are made text by the kernel, in the
+        time of who reads: to read them all costs less, and loses less, than to read a full ring when a cycle was late.
+        """
+        found = []
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(MOST_READS):
+                found.append(os.read(self._fd, READ_BYTES))
+        return b"".join(found).decode(errors="replace")
 
 
 @contextlib.contextmanager
@@ -94,9 +105,12 @@ def traced(tid: int, ring_kb: int = RING_KB) -> Iterator[Trace]:
     except OSError as error:
         raise NotTraced(f"Trace events cannot be read here: {folder} cannot be made ({error.strerror}).") from None
     try:
-        with open(folder / "trace_marker", "wb"):  # as long as it is open, nobody removes it as left behind
+        fd = os.open(folder / "trace_pipe", os.O_RDONLY | os.O_NONBLOCK)
+        try:  # as long as it is open, nobody removes the instance as left behind
             _set_up(folder, tid, ring_kb)
-            yield Trace(folder)
+            yield Trace(fd)
+        finally:
+            os.close(fd)
     finally:
         _remove(folder)
 

@@ -30,14 +30,16 @@ HISTORY_NS = 25_000_000
 MOST_A_LOOK = 50
 """Late cycles that are divided at a look, the latest ones; the others are counted."""
 MOST_KEPT = 100_000
+KEPT_NS = 1_000_000_000
+"""So long what was traced is kept."""
 TELLING_S = 0.3
 USUAL = 1000
 """Cycles of which the usual time is taken."""
 _TICK_NS = 1_000_000_000 // os.sysconf("SC_CLK_TCK")
 
 
-Lines = Callable[[], Sequence[str]]
-"""Reads the trace."""
+Traced = Callable[[], str]
+"""What was traced since the last time."""
 
 
 class Cycle(NamedTuple):
@@ -108,7 +110,7 @@ class Late:
 
 
 class Watcher:
-    """Divides the late cycles of a source; `lines` is what reads the trace.
+    """Divides the late cycles of a source.
 
     Attributes:
         late: those found so far, in the order in which they were looked at.
@@ -116,12 +118,13 @@ class Watcher:
         undivided: late ones that were too many for a look.
     """
 
-    def __init__(self, source: Source, tid: int, lines: Lines, bound_ns: int) -> None:
+    def __init__(self, source: Source, tid: int, trace: Traced, bound_ns: int) -> None:
         self.late: list[Late] = []
         self.cycles = 0
         self.undivided = 0
-        self._source, self._tid, self._lines, self._bound_ns = source, tid, lines, bound_ns
+        self._source, self._tid, self._trace, self._bound_ns = source, tid, trace, bound_ns
         self._history_ns = HISTORY_NS + 2 * source.period_ns
+        self._text: deque[tuple[int, str]] = deque()
         self._waiting: list[Cycle] = []
         self._usual: deque[int] = deque(maxlen=USUAL)
         self._stolen: deque[tuple[int, int]] = deque([(time.monotonic_ns(), stolen_ns(cpu_of(tid)))], maxlen=200)
@@ -135,6 +138,9 @@ class Watcher:
         """Take what is new; to be called every `LOOK_S` or so, since the ring is overwritten."""
         self._waiting += self._source.new()
         now_ns = time.monotonic_ns()
+        self._text.append((now_ns, self._trace()))
+        while self._text[0][0] < now_ns - KEPT_NS:
+            self._text.popleft()
         self._stolen.append((now_ns, stolen_ns(cpu_of(self._tid))))
         settled = [cycle for cycle in self._waiting if (cycle.end_ns or cycle.woke_ns) <= now_ns - settle_ns]
         del self._waiting[: len(settled)]
@@ -159,7 +165,8 @@ class Watcher:
 
     def _divide(self, wanted: Sequence[tuple[int, bool, int, int]]) -> None:
         first_ns = min(start_ns for *_, start_ns, _ in wanted) - self._history_ns
-        events = list(parse(since(self._lines(), first_ns)))
+        lines = "".join(text for read_ns, text in self._text if read_ns >= first_ns).splitlines()
+        events = sorted(parse(since(lines, first_ns)), key=lambda event: event.time_ns)
         times = [event.time_ns for event in events]
         for number, woke, start_ns, end_ns in wanted:
             # behind the end too: who woke the thread tells what it had slept for
