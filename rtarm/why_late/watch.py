@@ -16,6 +16,8 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from rtarm.why_late.causes import Cause
 from rtarm.why_late.divide import Segment, divide, stood_still
 from rtarm.why_late.events import parse, since
@@ -70,10 +72,13 @@ class ArmCycles:
         self._last: Cycle | None = None
 
     def new(self) -> list[Cycle]:
-        """A cycle's record has the computing time of the one before, so the newest waits for the next."""
         recording, self._at = read_on(self._memory, self._at)
+        return self.taken(recording.records)
+
+    def taken(self, records: np.ndarray) -> list[Cycle]:
+        """A cycle's record has the computing time of the one before, so the newest waits for the next."""
         found = []
-        for record in recording.records:
+        for record in records:
             number, lateness_ns, before_ns = (int(record[n]) for n in ("number", "lateness_ns", "cycle_time_ns"))
             # a cycle that is late by periods moves to the last of them
             due_ns = int(record["monotonic_ns"]) - lateness_ns // self.period_ns * self.period_ns
@@ -137,8 +142,9 @@ class Watcher:
     def look(self, settle_ns: int = SETTLE_NS) -> None:
         """Take what is new; to be called every `LOOK_S` or so, since the ring is overwritten."""
         self._waiting += self._source.new()
+        text = self._trace()
         now_ns = time.monotonic_ns()
-        self._text.append((now_ns, self._trace()))
+        self._text.append((now_ns, text))
         while self._text[0][0] < now_ns - KEPT_NS:
             self._text.popleft()
         self._stolen.append((now_ns, stolen_ns(cpu_of(self._tid))))
