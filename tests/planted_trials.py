@@ -120,6 +120,11 @@ class Trial(NamedTuple):
     others: list[Late]
 
     @property
+    def expected(self) -> Cause:
+        """What was planted."""
+        return EXPECTED[self.cause]
+
+    @property
     def right(self) -> int:
         """How many of the planted ones have the planted cause, with whoever planted it where that can be named."""
         return sum(self._is_right(late) for late in self.planted)
@@ -134,7 +139,7 @@ class Trial(NamedTuple):
     def _is_right(self, late: Late) -> bool:
         named = {"hog": f" {self.pid} (", "flood": "timerfd", "stop": f"SIGSTOP from python {self.pid}", "pages": ""}
         who = [name for name, _ in mostly([late], late.cause)] or [""]
-        return late.cause is EXPECTED[self.cause] and any(named[self.cause] in name for name in who)
+        return late.cause is self.expected and any(named[self.cause] in name for name in who)
 
 
 def apart(cause: str, pid: int, watcher: Watcher, plants: Sequence[tuple[int, ...]]) -> Trial:

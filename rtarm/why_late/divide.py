@@ -3,6 +3,9 @@
 Nothing here knows of arms. What a processor was doing is followed from event to event (task, interrupts and softirqs
 on top of it), and so is the thread (asleep, ready, running, stopped). Between two events both are constant, and the
 pair of them is the cause. What is not known from an event before is unknown.
+
+Some kernels do not tell of the switch from idle to a task (seen on Linux 6.18, on all processors of a virtual machine
+but the first). So such a switch is also taken from the events that follow, each of which names the task it came in.
 """
 
 from __future__ import annotations
@@ -86,27 +89,36 @@ class _Thread:
     faulting: bool = False
 
 
-def divide(events: Sequence[Event], tid: int, start_ns: int, end_ns: int) -> list[Segment]:
+def divide(events: Sequence[Event], tid: int, start_ns: int, end_ns: int, *, runs: bool = False) -> list[Segment]:
     """The causes of an interval of a thread; `events` in order, from well before it on.
 
-    The segments follow each other without a gap from start to end; neighbours differ in cause or name.
+    `runs`: the thread is known to run at its start, since it read the clock then. The segments follow each other
+    without a gap from start to end; neighbours differ in cause or name.
     """
     found: list[Segment] = []
     processors: dict[int, _Processor] = {}
     thread = _Thread(tid)
     woken = _woken_from(events, tid)
+    unseen = _left_idle_unseen(events)
     now_ns = start_ns
     for number, event in enumerate(events):
         until_ns = min(event.time_ns, end_ns)
+        if runs and event.time_ns >= start_ns:
+            runs = _found_running(processors, thread)
         if until_ns > now_ns:
             found += _constant(processors, thread, now_ns, until_ns)
             now_ns = until_ns
         if event.time_ns >= end_ns:
             break
-        _follow(processors.setdefault(event.cpu, _Processor()), thread, event, woken.get(number))
+        processor = processors.setdefault(event.cpu, _Processor())
+        _follow(processor, thread, event, woken.get(number))
+        if number in unseen and unseen[number].pid != tid:
+            processor.task = unseen[number]
         if isinstance(event.what, Sent):
             for cpu in event.what.cpus:
                 processors.setdefault(cpu, _Processor()).sender = _named(event.task)
+    if runs:
+        _found_running(processors, thread)
     found += _constant(processors, thread, now_ns, end_ns)
     return list(_merged(found))
 
@@ -145,6 +157,35 @@ def _woken_from(events: Sequence[Event], tid: int) -> dict[int, int]:
                 found[asleep] = event.cpu if event.cpu in timers else NO_TIMER
                 asleep = None
     return found
+
+
+def _left_idle_unseen(events: Sequence[Event]) -> dict[int, Task]:
+    """By the number of the last event in idle: the task that had the processor at the next, which was no switch to it.
+
+    The task came at once, since it takes an event for a processor to leave idle.
+    """
+    found: dict[int, Task] = {}
+    last: dict[int, int] = {}
+    prios = {task.pid: task.prio for event in events if isinstance(event.what, Switch) for task in event.what[::2]}
+    for number, event in enumerate(events):
+        before = last.get(event.cpu)
+        if before is not None and _task_behind(events[before]).is_idle and not event.task.is_idle:
+            found[before] = event.task._replace(prio=prios.get(event.task.pid))
+        last[event.cpu] = number
+    return found
+
+
+def _task_behind(event: Event) -> Task:
+    """Which task has the processor behind an event."""
+    return event.what.after if isinstance(event.what, Switch) else event.task
+
+
+def _found_running(processors: dict[int, _Processor], thread: _Thread) -> bool:
+    """The thread ran now; False, for this is settled."""
+    if thread.state is _Is.READY:
+        thread.state = _Is.RUNNING
+        processors.setdefault(thread.cpu, _Processor()).task = Task("", thread.tid, thread.prio)
+    return False
 
 
 def _follow(processor: _Processor, thread: _Thread, event: Event, woken: int | None) -> None:

@@ -14,6 +14,7 @@ NAME = "rtarm-"
 RING_KB = 4096
 """Of each processor: 100,000 events, which a flood of interrupts fills in a second."""
 READ_BYTES = 1 << 16
+ATTEMPTS = 5
 MOST_READS = 20_000
 """Of a page at the most each: where events come faster than they are read, this ends."""
 
@@ -94,25 +95,30 @@ def traced(tid: int, ring_kb: int = RING_KB) -> Iterator[Trace]:
     Raises:
         NotTraced: it cannot be had.
     """
-    instances = place() / "instances"
-    for left in instances.glob(f"{NAME}*"):
-        _remove(left)
-    folder = instances / f"{NAME}{os.getpid()}"
+    folder = place() / "instances" / f"{NAME}{os.getpid()}"
+    fd = _opened(folder)
     try:
-        folder.mkdir()
-    except FileExistsError:
-        raise NotTraced("This process reads trace events already: let that end first.") from None
-    except OSError as error:
-        raise NotTraced(f"Trace events cannot be read here: {folder} cannot be made ({error.strerror}).") from None
-    try:
-        fd = os.open(folder / "trace_pipe", os.O_RDONLY | os.O_NONBLOCK)
-        try:  # as long as it is open, nobody removes the instance as left behind
-            _set_up(folder, tid, ring_kb)
-            yield Trace(fd)
-        finally:
-            os.close(fd)
+        _set_up(folder, tid, ring_kb)
+        yield Trace(fd)
     finally:
+        os.close(fd)
         _remove(folder)
+
+
+def _opened(folder: Path) -> int:
+    """The ring of a new instance; as long as it is open, nobody removes the instance as left behind."""
+    for attempt in range(ATTEMPTS):
+        for left in folder.parent.glob(f"{NAME}*"):
+            _remove(left)
+        try:
+            folder.mkdir()
+            return os.open(folder / "trace_pipe", os.O_RDONLY | os.O_NONBLOCK)
+        except FileExistsError:
+            raise NotTraced("This process reads trace events already: let that end first.") from None
+        except OSError as error:  # between the two, another one that starts may have removed it
+            if attempt == ATTEMPTS - 1:
+                raise _refused(error) from None
+    raise AssertionError("unreachable")
 
 
 def _set_up(folder: Path, tid: int, ring_kb: int) -> None:
@@ -131,9 +137,14 @@ def _set_up(folder: Path, tid: int, ring_kb: int) -> None:
                 (event / "enable").write_text("1")
         (folder / "tracing_on").write_text("1")
     except OSError as error:
-        raise NotTraced(
-            f"Trace events cannot be read here: {error.filename} refuses what is asked for ({error.strerror})."
-        ) from None
+        raise _refused(error) from None
+
+
+def _refused(error: OSError) -> NotTraced:
+    return NotTraced(
+        f"Trace events cannot be read here, since {error.filename} refuses it ({error.strerror}): try again as root, "
+        "outside of containers."
+    )
 
 
 def _remove(folder: Path) -> None:

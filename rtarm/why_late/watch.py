@@ -179,7 +179,7 @@ class Watcher:
             around = slice(
                 bisect_left(times, start_ns - self._history_ns), bisect_right(times, end_ns + self._history_ns)
             )
-            segments = divide(events[around], self._tid, start_ns, end_ns)
+            segments = divide(events[around], self._tid, start_ns, end_ns, runs=not woke)
             self.late.append(Late(number, woke, tuple(stood_still(segments, self._stolen_in(start_ns, end_ns)))))
 
     def _stolen_in(self, start_ns: int, end_ns: int) -> int:
@@ -212,16 +212,20 @@ def cycle_thread(pid: int) -> int:
     Raises:
         OSError: the process is gone.
     """
-    tids = [int(name) for name in os.listdir(f"/proc/{pid}/task")]
-    priorities = {tid: os.sched_getparam(tid).sched_priority for tid in tids}
-    highest = max(priorities.values())
+    priorities = {}
+    for name in os.listdir(f"/proc/{pid}/task"):
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+            priorities[int(name)] = os.sched_getparam(int(name)).sched_priority
+    highest = max(priorities.values(), default=0)
     if highest > 0:
-        return max(tids, key=lambda tid: priorities[tid])
-    before = {tid: _sleeps(pid, tid) for tid in tids}
+        return max(priorities, key=lambda tid: priorities[tid])
+    before = {tid: _sleeps(pid, tid) for tid in priorities}
     time.sleep(TELLING_S)
-    return max(tids, key=lambda tid: _sleeps(pid, tid) - before[tid])
+    return max(before, key=lambda tid: _sleeps(pid, tid) - before[tid], default=pid)
 
 
 def _sleeps(pid: int, tid: int) -> int:
-    status = Path(f"/proc/{pid}/task/{tid}/status").read_text()
-    return int(status.partition("\nvoluntary_ctxt_switches:")[2].split(maxsplit=1)[0])
+    with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+        status = Path(f"/proc/{pid}/task/{tid}/status").read_text()
+        return int(status.partition("\nvoluntary_ctxt_switches:")[2].split(maxsplit=1)[0])
+    return 0

@@ -231,6 +231,25 @@ def test_what_was_not_seen_is_unknown() -> None:
     assert divided(lost, 0, 100) == [(40, Cause.OWN, ""), (60, Cause.UNKNOWN, "")]
 
 
+def test_a_switch_from_idle_that_the_kernel_does_not_tell() -> None:
+    """The hog is seen first where the timer interrupts it, and its priority where it leaves."""
+    events = [*asleep(), at(90, IDLE, TIMER), at(95, IDLE, Exit("local_timer")), *fired(100, HOG._replace(prio=None))]
+    assert divided([*events, *runs(3000, HOG, "S")], 98, 3000) == [
+        (2, Cause.MASKED, "hog 20"),
+        (1, Cause.INTERRUPT, "local_timer"),
+        (2, Cause.INTERRUPT, "local_timer: hrtimer_wakeup"),
+        (1, Cause.INTERRUPT, "local_timer"),
+        (2896, Cause.TASK, "hog 20 (real-time 95: before us)"),
+    ]
+
+
+def test_the_cycle_leaves_idle_and_the_kernel_does_not_tell() -> None:
+    events = [*asleep(), *fired(100), at(2000, CYCLE, Switch(CYCLE, "S", IDLE))]
+    assert divided(events, 104, 110) == [(6, Cause.IDLE_EXIT, "")]
+    (segment,) = divide(events, 10, 110_000, 2_000_000, runs=True)
+    assert segment == Segment(110_000, 2_000_000, Cause.OWN)
+
+
 # --- stolen time --------------------------------------------------------------------------------------------
 
 
@@ -269,9 +288,11 @@ any_events = st.lists(st.builds(Event, st.integers(0, 100_000), cpus, tasks, wha
 
 
 @settings(max_examples=examples(500), deadline=None)
-@given(any_events, st.integers(0, 100_000), st.integers(0, 60_000), st.integers(0, 10_000_000))
-def test_segments_add_up_to_the_interval(events: list[Event], start_ns: int, length_ns: int, stolen_ns: int) -> None:
-    segments = divide(events, 10, start_ns, start_ns + length_ns)
+@given(any_events, st.integers(0, 100_000), st.integers(0, 60_000), st.integers(0, 10_000_000), st.booleans())
+def test_segments_add_up_to_the_interval(
+    events: list[Event], start_ns: int, length_ns: int, stolen_ns: int, runs: bool
+) -> None:
+    segments = divide(events, 10, start_ns, start_ns + length_ns, runs=runs)
     for found in (segments, stood_still(segments, stolen_ns)):
         assert sum(segment.length_ns for segment in found) == length_ns
         assert all(segment.length_ns > 0 for segment in found)

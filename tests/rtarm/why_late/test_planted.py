@@ -1,0 +1,168 @@
+"""Planted causes are found, in the kernel's own trace and beside a real control process; and the command around it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from planted_trials import Trial, impossible, mock_arm, planted_in_arm, planted_in_loop
+from stack import ROOT, Stack
+from typer.testing import Result
+from waiting import until
+from written_arm import WrittenArm
+
+from rtarm.why_late import tracefs
+from rtarm.why_late.causes import MEANINGS, WORDS, Cause
+from rtarm.why_late.hints import Hints, counted
+from rtarm.why_late.tracefs import NotTraced, place, traced
+
+PLANTS = 12
+LEAST = 6
+"""A machine that is busy with other things makes some plants late or empty."""
+
+possible = pytest.mark.skipif(bool(impossible()), reason=impossible())
+
+
+def judge(trial: Trial) -> None:
+    wrong = [late for late in trial.planted if late.cause not in (Cause.UNKNOWN, trial.expected)]
+    assert len(trial.planted) >= LEAST
+    assert [late.cause for late in wrong] == []
+    assert trial.right >= 0.9 * len(trial.planted), trial.found()
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    with mock_arm(tmp_path_factory.mktemp("why_late")) as started:
+        yield started
+
+
+@possible
+@pytest.mark.process
+@pytest.mark.parametrize("cause", ["hog", "flood", "stop"])
+def test_what_is_planted_beside_an_arm_is_found(stack: Stack, cause: str) -> None:
+    judge(planted_in_arm(stack, cause, PLANTS))
+
+
+@possible
+@pytest.mark.process
+def test_planted_page_faults_are_found() -> None:
+    judge(planted_in_loop(PLANTS))
+
+
+@possible
+@pytest.mark.process
+def test_the_command_tells_of_an_arm_and_ends_early(stack: Stack, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "rtarm", "why-late", stack.name, "--json", "--bound-us", "10"]
+    process = subprocess.Popen(
+        [*command, "--plot", str(tmp_path / "causes.svg")], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    instance = place() / "instances" / f"rtarm-{process.pid}"
+    until(instance.is_dir)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    report = json.loads(process.communicate(timeout=60.0)[0])
+    assert process.returncode == 0
+    assert report["traced"] and report["late"] > 0 and report["hints"] == []
+    assert sum(one["share"] for one in report["causes"]) == pytest.approx(1.0)
+    assert {one["cause"] for one in report["causes"]} != {"unknown"}
+    assert (tmp_path / "causes.svg").stat().st_size > 1000
+    assert not instance.exists()
+
+
+@possible
+@pytest.mark.process
+def test_an_instance_goes_with_its_user_and_one_that_was_killed_at_the_next_start() -> None:
+    instances = place() / "instances"
+    script = "import os, time; from rtarm.why_late.tracefs import traced\nwith traced(os.getpid()): time.sleep(60)"
+    killed = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT)
+    left = instances / f"rtarm-{killed.pid}"
+    last = left / "events/signal/signal_generate/enable"
+    until(lambda: last.exists() and last.read_text().startswith("1"))
+    before = {name: (place() / name).read_text() for name in ("tracing_on", "set_event", "trace_clock")}
+    with traced(os.getpid()) as trace:
+        assert left.exists()  # that of another one who lives
+        with pytest.raises(NotTraced, match="already"), traced(os.getpid()):
+            pass
+        time.sleep(0.01)
+        assert "sched_switch" in trace.read()
+    killed.kill()
+    killed.wait()
+    assert left.exists()
+    with pytest.raises(ZeroDivisionError), traced(os.getpid()):
+        assert not left.exists()
+        raise ZeroDivisionError
+    assert not (instances / f"rtarm-{os.getpid()}").exists()
+    assert {name: (place() / name).read_text() for name in before} == before
+
+
+# --- without permission, and other refusals -----------------------------------------------------------------
+
+
+@pytest.fixture
+def nowhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A machine without tracefs."""
+    monkeypatch.setattr(tracefs, "PLACES", (tmp_path / "tracing", tmp_path / "debug"))
+
+
+@pytest.mark.usefixtures("nowhere")
+def test_without_a_trace_hints_are_given(arm: WrittenArm, rtarm: Callable[..., Result]) -> None:
+    result = rtarm("why-late", arm.name, "--seconds", "0.5", "--json")
+    report = json.loads(result.output)
+    assert (result.exit_code, report["traced"], report["causes"]) == (0, False, [])
+    assert "mount -t tracefs" in report["notes"][0]
+    assert "none later than 100 µs" in rtarm("why-late", arm.name, "--seconds", "0.5").output
+
+
+def test_a_place_that_may_not_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(tracefs, "PLACES", (tmp_path / "nowhere", tmp_path))
+    (tmp_path / "instances").mkdir()
+    assert place() == tmp_path
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(NotTraced, match="as root"):
+        place()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--seconds", "0.1"), "--seconds is 0.1, allowed are 0.5 to 86400 s"),
+        (("--seconds", "nan"), "--seconds is nan"),
+        (("--bound-us", "1"), "--bound-us is 1, allowed are 10 to 1e+06 µs"),
+        (("--plot", "x.txt"), "x.txt is no name of a picture"),
+        (("--plot", "nowhere/x.svg"), "name a file in a folder that exists"),
+    ],
+)
+def test_what_is_refused(rtarm: Callable[..., Result], arm: WrittenArm, options: tuple[str, str], said: str) -> None:
+    result = rtarm("why-late", arm.name, *options)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert said in result.stderr
+
+
+def test_an_arm_that_does_not_run(rtarm: Callable[..., Result]) -> None:
+    result = rtarm("why-late", "nobody", "--json")
+    assert result.exit_code == 1
+    assert "No control process" in json.loads(result.output)["problems"][0]
+
+
+def test_hints_are_what_rises_faster_while_cycles_are_late() -> None:
+    own = os.getpid()
+    assert {"page faults", "ms that the host took (steal)"} <= set(counted(own))
+    assert any(what.startswith("interrupts ") for what in counted(own))
+    hints = Hints(own)
+    hints.look(late=False)
+    pages = bytearray(1 << 24)
+    hints.look(late=True)
+    hints.look(late=False)
+    told = {one["what"]: one for one in hints.told()}
+    assert pages and told["page faults"]["a_look_with_late_cycles"] > told["page faults"]["a_look_without"]
+
+
+def test_every_cause_has_its_words() -> None:
+    assert set(WORDS) == set(MEANINGS) == set(Cause)
