@@ -57,6 +57,7 @@ CHECKS: tuple[Check, ...] = (
         "A page that the kernel moves faults at its next use, even if it is locked.",
         kernel.moved_pages,
     ),
+    Check("trace events", "`rtarm why-late` reads them, to say what kept a late cycle waiting.", kernel.trace_events),
     Check(
         "clock governor",
         "A processor that slows its clock down between cycles begins each of them slowly.",

@@ -1,4 +1,4 @@
-"""Checks of the kernel: how it is preempted, its timers and clock, pages that it moves."""
+"""Checks of the kernel: how it is preempted, its timers and clock, pages that it moves, its trace."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ BRISK_RATE_HZ = 250.0
 """Above this rate a stall of a few milliseconds, which a kernel that is not fully preemptible has, costs cycles."""
 GOOD_CLOCKS = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page", "riscv_clocksource")
 SLOW_CLOCKS = ("hpet", "acpi_pm", "pit", "jiffies", "refined-jiffies")
+TRACEFS = "/sys/kernel/tracing"
 PREEMPT_SWITCH = "/sys/kernel/debug/sched/preempt"
 
 
@@ -115,3 +116,13 @@ def moved_pages(machine: Machine, _arm: ArmConfig | None) -> Found:
     if machine.exists(compaction) and machine.number(compaction) != 0:
         return note("compaction may move locked pages", fix=(Write(compaction, "0"),))
     return ok("locked pages stay where they are")
+
+
+def trace_events(machine: Machine, _arm: ArmConfig | None) -> Found:
+    mounts = [line.split() for line in machine.text("/proc/mounts").splitlines()]
+    places = [fields[1] for fields in mounts if len(fields) > 2 and fields[2] == "tracefs"]
+    if places:
+        return ok(f"to be read by root, at {places[0]}")
+    if not machine.exists(TRACEFS):
+        return note("this kernel has none, so `rtarm why-late` gives hints alone")
+    return note("tracefs is not mounted", f"sudo mount -t tracefs nodev {TRACEFS}")

@@ -46,7 +46,7 @@ def good_machine() -> dict[str, Content]:
         "/proc/stat": "cpu 100 0 100 800 0 0 0 0 0 0\ncpu0 1 1",
         "/proc/loadavg": "0.50 0.40 0.30 1/100 4242",
         "/proc/swaps": "Filename Type Size Used Priority",
-        "/proc/mounts": "tmpfs /dev/shm tmpfs rw 0 0",
+        "/proc/mounts": "tmpfs /dev/shm tmpfs rw 0 0\ntracefs /sys/kernel/tracing tracefs rw 0 0",
         "/proc/1/stat": stat("init"),
         "/proc/1/comm": "init",
         "/proc/1/cgroup": "0::/init.scope",

@@ -31,7 +31,15 @@ from rtarm.scan.search import FoundDrive
 from rtarm.scan.search import Outcome as Searched
 from rtarm.teach.file import motion_path, require_free, save
 from rtarm.teach.motion import Motion
+<<<<<<< HEAD
 from rtloop.drives.zdt_protocol import Block, HomingParameters, Trip, Version
+=======
+from rtarm.why_late.causes import Cause
+from rtarm.why_late.divide import Segment
+from rtarm.why_late.report import report_of as report_of_why_late
+from rtarm.why_late.watch import Late
+from rtloop.drives.zdt_registers import Block, HomingParameters, Trip, Version
+>>>>>>> 08802050 (why-late: pages, stable names, and what the doctor says of trace events)
 from rtloop.offline.settings.compare import as_json
 from rtloop.offline.settings.session import Written
 from rtloop.offline.settings.zdt import report_of
@@ -188,6 +196,18 @@ def of_motions() -> Reports:
         return [printed("motions")]
 
 
+def of_why_late() -> Reports:
+    """Of a late cycle with its cause, without permission, and of an arm that does not run."""
+    late = Late(7, True, (Segment(0, 2_000_000, Cause.TASK, "hog 20"), Segment(2_000_000, 2_010_000, Cause.OWN)))
+    watcher = SimpleNamespace(late=[late], cycles=10, count=1, undivided=0)
+    hint = {"what": "page faults", "a_look_with_late_cycles": 1.0, "a_look_without": 0.0}
+    found = report_of_why_late("an_arm", 1.0, 100.0, watcher, ["It ended."])  # type: ignore[arg-type]
+    report = {**found, "traced": True, "hints": [hint]}
+    with patch("rtarm.why_late.run.why_late", lambda *_: report):
+        told = printed("why-late", "an_arm")
+    return [told, printed("why-late", "nobody_at_all")]
+
+
 REPORTS: dict[str, Callable[[], Reports]] = {
     "rtarm status": of_status,
     "rtarm doctor": of_doctor,
@@ -198,5 +218,6 @@ REPORTS: dict[str, Callable[[], Reports]] = {
     "rtarm scan": of_scan,
     "rtarm move": of_move,
     "rtarm motions": of_motions,
+    "rtarm why-late": of_why_late,
 }
 """Every command that has `--json`, as a choice between text and one JSON object."""

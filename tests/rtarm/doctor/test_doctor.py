@@ -155,6 +155,16 @@ CASES: list[Case] = [
         "dmesg",
     ),
     ("clock source", {f"{CLOCK}/current_clocksource": "sundial"}, {}, Level.NOTE, "'sundial'", None),
+    ("trace events", {}, {}, Level.OK, "by root, at /sys/kernel/tracing", None),
+    ("trace events", {"/proc/mounts": "none / ext4"}, {}, Level.NOTE, "has none", None),
+    (
+        "trace events",
+        {"/proc/mounts": "none / ext4", "/sys/kernel/tracing/README": ""},
+        {},
+        Level.NOTE,
+        "is not mounted",
+        "sudo mount -t tracefs nodev /sys/kernel/tracing",
+    ),
     ("moved pages", {"/proc/sys/vm/compact_unevictable_allowed": "1"}, {}, Level.NOTE, "compaction", "echo 0"),
     ("moved pages", {"/proc/sys/vm/compact_unevictable_allowed": None}, {}, Level.OK, "stay", None),
     (
