@@ -33,6 +33,7 @@ from rtarm.launch.launcher import Launcher, action_name, load_plan, override_arg
 from rtarm.processes import describe_end, plain_environment, ros_environment
 from rtarm.running.arm_file import SIMULATED_CHANNEL
 from rtarm.running.tracking import Window
+from rtarm.why_late.run import beside
 from shm import files
 from shm.client import StateReader
 from shm.words import Mode
@@ -47,6 +48,8 @@ SETTLE_S = 0.4
 ANSWER_PATIENCE_S = 25.0
 """For a server that may just have come up (`rtarm.client.program`), and its answer."""
 RESULT_PATIENCE_S = 30.0
+WHY_BOUND_NS = 100_000
+"""Cycles that are later have causes worth a name."""
 TAIL_S = 1.0
 """The goal goes on at least so long after the slice."""
 
@@ -64,6 +67,8 @@ class Bench:
     """A ROS domain of this run's own."""
     namespace: str
     """Of all that is in it: no goal of ours is for an arm of somebody's, should one be there."""
+    why: bool = False
+    """Whether rtarm's late cycles are traced, and their causes named."""
 
     @property
     def arm_argument(self) -> str:
@@ -189,9 +194,13 @@ class OurCycle:
         await asyncio.sleep(SETTLE_S)
 
     async def measure(self, seconds: float) -> Slice:
-        assert self._watch is not None
+        assert self._watch is not None and self._reader is not None
         try:
-            return await self._measure(seconds)
+            if not self._bench.why:
+                return await self._measure(seconds)
+            with beside(self._reader.memory, WHY_BOUND_NS) as watcher:
+                found = await self._measure(seconds)
+            return replace(found, late=tuple(watcher.late))
         except OSError:  # a process that was looked at is gone: the launcher knows why
             await asyncio.wait((self._watch,), timeout=STOP_S)
             if self._watch.done():

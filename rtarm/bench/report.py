@@ -13,6 +13,7 @@ from rich.text import Text
 from rtarm.bench.lateness import PERCENTS
 from rtarm.bench.results import LOADS, RATIOS, WHO
 from rtarm.running.status import describe_scheduling
+from rtarm.why_late.causes import WORDS, Cause
 
 HEADINGS = {"p50": "p50", "p90": "p90", "p99": "p99", "p99_9": "p99.9", "max": "max"}
 
@@ -76,11 +77,29 @@ def _facts(report: Mapping[str, Any]) -> list[RenderableType]:
         *(f"{who}: {describe_scheduling(found)}" for who, found in report["scheduling"].items()),
         *report["notes"],
     ]
+    lines += _causes(report.get("causes", {}))
     for who, by_rate in report["goals_in_trouble"].items():
         for rate, by_load in by_rate.items():
             for load, troubles in by_load.items():
                 lines += [f"{who}, {rate} Hz {load}, a goal did not succeed: {trouble}" for trouble in troubles]
     return [Text(line) for line in lines]
+
+
+def _causes(found: Mapping[str, Any]) -> list[str]:
+    """What the latest cycle of each rate and load waited for, and the shares of all causes."""
+    lines = []
+    for who, by_rate in found.items():
+        for rate, by_load in by_rate.items():
+            for load, causes in by_load.items():
+                worst = max((one for one in causes if one["worst"]), key=lambda one: one["worst"]["us"], default=None)
+                if worst is not None:
+                    parts = [part for part in worst["worst"]["segments"] if part["cause"] == worst["cause"]]
+                    named = max(parts, key=lambda part: part["us"])["who"]
+                    chief = f"{WORDS[Cause(worst['cause'])]}{', ' if named else ''}{named}"
+                    shares = ", ".join(f"{WORDS[Cause(one['cause'])]} {one['share']:.0%}" for one in causes)
+                    lines.append(f"{who}, {rate} Hz {load}, the latest: {worst['worst']['us']:.0f} µs, {chief}")
+                    lines.append(f"  all that was later than 100 µs: {shares}")
+    return lines
 
 
 def describe_machine(machine: Mapping[str, Any]) -> str:

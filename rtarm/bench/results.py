@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from rtarm.bench.lateness import as_pairs, figures_us, merged, spread
+from rtarm.why_late.report import causes_of
+from rtarm.why_late.watch import Late
 
 WHO = ("cyclictest", "rtarm", "one_node", "plain_loop", "one_node_fifo")
 """`one_node_fifo` is `one_node` with the priority of rtarm, given from outside."""
@@ -40,6 +42,7 @@ class Slice:
         cycle_time: histogram from wake-up to the end of the write, where it is known.
         joint_states: how /joint_states arrived at a subscriber: `rate_hz`, `interval_ms`, `age_ms` (since the stamp).
         goal_ms: from the moment before the client sent its goal to the instant that its first setpoint was due.
+        late: its late cycles, divided into causes; None where nobody traced them.
     """
 
     lateness: np.void
@@ -50,6 +53,7 @@ class Slice:
     cycle_time: np.void | None = None
     joint_states: Mapping[str, Any] | None = None
     goal_ms: float | None = None
+    late: tuple[Late, ...] | None = None
 
     @property
     def cycles(self) -> int:
@@ -104,6 +108,7 @@ def document(measured: Measurements) -> dict[str, Any]:
         "scheduling": measured.scheduling(),
         "goals_in_trouble": measured.tree(lambda _, slices: [one.trouble for one in slices if one.trouble] or None),
         "chain": chain(measured),
+        **_causes(measured),
         "histogram_ns": measured.tree(lambda _, slices: as_pairs(merged(one.lateness for one in slices))),
     }
 
@@ -179,3 +184,15 @@ def _obtained_hz(slices: Sequence[Slice]) -> float | None:
     timed = [(one.cycles, one.seconds) for one in slices if one.seconds]
     seconds = sum(second for _, second in timed)
     return sum(cycles for cycles, _ in timed) / seconds if seconds else None
+
+
+def _causes(measured: Measurements) -> dict[str, Any]:
+    """Why cycles were late, where that was traced; nothing where it was not."""
+    traced = measured.tree(
+        lambda _, slices: (
+            None
+            if all(one.late is None for one in slices)
+            else causes_of([late for one in slices for late in one.late or () if late.woke])
+        )
+    )
+    return {"causes": traced} if traced else {}

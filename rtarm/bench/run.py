@@ -32,6 +32,7 @@ from rtarm.launch.launcher import check_ros
 from rtarm.launch.own_domain import own_domain
 from rtarm.processes import describe_end, has_module, plain_environment
 from rtarm.running.arm_file import SIMULATED_CHANNEL
+from rtarm.why_late.tracefs import place
 
 
 @dataclass(frozen=True)
@@ -73,10 +74,15 @@ REMARKS = (
     "and rtarm makes none: compare processor time where one is.",
     "rtarm's processor time is that of its control process and its ROS process.",
 )
+TRACED = "rtarm's slices were traced (--why), which its figures include."
 
 
-def run_bench(extent: Extent, json_file: Path | None, plot_file: Path | None, reporter: Reporter) -> ExitCode:
+def run_bench(
+    extent: Extent, json_file: Path | None, plot_file: Path | None, reporter: Reporter, *, why: bool = False
+) -> ExitCode:
     """Measure, print the tables, and write the files that were asked for; a signal ends the measuring early.
+
+    With `why`, the kernel's trace tells what kept rtarm's late cycles waiting.
 
     Raises:
         Refusal, ConfigError: it cannot be done.
@@ -86,6 +92,8 @@ def run_bench(extent: Extent, json_file: Path | None, plot_file: Path | None, re
             raise Refusal(f"{file} cannot be written: name a file in a folder that exists.")
     if plot_file is not None:
         plot.check(plot_file)
+    if why:
+        place()
     check_ros()
     missing = {who: sentence for who, sentence in absent().items() if who in extent.who}
     for sentence in missing.values():
@@ -99,7 +107,7 @@ def run_bench(extent: Extent, json_file: Path | None, plot_file: Path | None, re
     subprocess.run([sys.executable, "-P", "-m", "rtloop.warm"], env=plain_environment(), check=False)
     cut_short, code = "", ExitCode.DONE
     try:
-        cut_short = asyncio.run(interruptible(_measure(extent, simulated, who, measured, reporter)))
+        cut_short = asyncio.run(interruptible(_measure(extent, simulated, who, measured, reporter, why=why)))
     except Interrupted as signalled:
         cut_short, code = f"The benchmark was ended by {signalled} before it was complete.", ExitCode.REFUSED
     except Refusal as refusal:
@@ -113,7 +121,7 @@ def run_bench(extent: Extent, json_file: Path | None, plot_file: Path | None, re
         "load": described(),
         "wires": {str(rate): WIRES[simulates] for rate, simulates in simulated.items()},
         "extent": {"repeats": extent.repeats, "slice_s": extent.slice_s},
-        "notes": [*missing.values(), *filter(None, [cut_short]), *REMARKS],
+        "notes": [*missing.values(), *filter(None, [cut_short, TRACED if why else ""]), *REMARKS],
     }
     reporter.console.print(render(report))
     try:
@@ -147,7 +155,7 @@ def absent() -> dict[str, str]:
 
 
 async def _measure(
-    extent: Extent, simulated: dict[int, bool], who: set[str], measured: Measurements, reporter: Reporter
+    extent: Extent, simulated: dict[int, bool], who: set[str], measured: Measurements, reporter: Reporter, *, why: bool
 ) -> str:
     """Add all slices to `measured`, whole rounds only; why there are fewer than planned, "" if there are not."""
     environment, namespace = own_domain(), f"/bench_{secrets.token_hex(4)}"
@@ -168,7 +176,7 @@ async def _measure(
                     f"have taken longer than {extent.longest_s:g} s."
                 )
             for rate in extent.rates_hz:
-                bench = Bench(rate, simulated[rate], RealtimeConfig().priority, cpu, environment, namespace)
+                bench = Bench(rate, simulated[rate], RealtimeConfig().priority, cpu, environment, namespace, why)
                 reporter.say(f"repeat {repeat + 1} of {extent.repeats}, {rate} Hz, {WIRES[simulated[rate]]}")
                 competitors = [competitor for competitor in everybody(bench, client) if competitor.who in who]
                 first = repeat % len(competitors)

@@ -248,6 +248,7 @@ def bench(
     plot_file: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Draw the tails (.png, .svg or .pdf).")
     ] = None,
+    why: Annotated[bool, typer.Option("--why", help="Name what kept rtarm's late cycles waiting (as root).")] = False,
 ) -> None:
     """Measure how late control cycles wake up on this machine, beside cyclictest and beside plain Python drivers.
 
@@ -259,7 +260,7 @@ def bench(
     with sentences():
         from rtarm.bench.run import FULL, QUICK, run_bench
 
-        raise typer.Exit(run_bench(QUICK if quick else FULL, json_file, plot_file, _reporter()))
+        raise typer.Exit(run_bench(QUICK if quick else FULL, json_file, plot_file, _reporter(), why=why))
 
 
 @config_app.command("check")

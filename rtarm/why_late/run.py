@@ -6,6 +6,8 @@ import contextlib
 import os
 import threading
 import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +61,7 @@ def _watched(memory: MemoryFile, seconds: float, bound_us: float) -> dict[str, A
             f"The control process of {name} (pid {pid}) cannot be looked at ({error.strerror}): run this as the same "
             "user, on the same machine and in the same container."
         ) from None
-    with signals_noted() as wait, nice_thread() as thread, contextlib.ExitStack() as stack:
+    with signals_noted() as wait, _looker(tid) as thread, contextlib.ExitStack() as stack:
         hints: Hints | None = None
         trace: Traced = str  # nothing, so that nothing is known but that a cycle was late
         try:
@@ -68,7 +70,6 @@ def _watched(memory: MemoryFile, seconds: float, bound_us: float) -> dict[str, A
             notes.append(f"{reason.sentence} Without them no causes are known.")
             hints = Hints(tid)
         watcher = Watcher(ArmCycles(memory), tid, trace, round(bound_us * 1000))
-        thread.submit(_keep_off, cpu_of(tid)).result()
         began_s, ended = time.monotonic(), False
         while not ended:
             rest_s = began_s + seconds - time.monotonic()
@@ -82,6 +83,45 @@ def _watched(memory: MemoryFile, seconds: float, bound_us: float) -> dict[str, A
                 ended = True
         report = report_of(name, time.monotonic() - began_s, bound_us, watcher, notes)
         return {**report, "traced": hints is None, "hints": [] if hints is None else hints.told()}
+
+
+@contextlib.contextmanager
+def beside(memory: MemoryFile, bound_ns: int) -> Iterator[Watcher]:
+    """A watcher of an arm that looks by itself meanwhile; its findings are complete at the end.
+
+    Raises:
+        NotTraced: trace events cannot be read here.
+        OSError: the control process is gone.
+    """
+    tid, ended = cycle_thread(int(memory.record["header"]["pid"])), threading.Event()
+    with traced(tid) as trace, _looker(tid) as thread:
+        watcher = Watcher(ArmCycles(memory), tid, trace.read, bound_ns)
+
+        def look_on() -> None:
+            while not ended.wait(LOOK_S):
+                watcher.look()
+            watcher.look(settle_ns=0)
+
+        looking = thread.submit(look_on)
+        try:
+            yield watcher
+        finally:
+            ended.set()
+            looking.result()
+
+
+def _looker(tid: int) -> ThreadPoolExecutor:
+    """A thread that reads the trace and uses other processors than the cycle's, where there are others.
+
+    Beside a cycle of real-time priority it is an ordinary one: of the lowest priority it would not keep up with the
+    events of a busy machine.
+    """
+    cpu = cpu_of(tid)
+    if os.sched_getparam(tid).sched_priority > 0:
+        return ThreadPoolExecutor(max_workers=1, initializer=_keep_off, initargs=(cpu,))
+    thread = nice_thread()
+    thread.submit(_keep_off, cpu).result()
+    return thread
 
 
 def _keep_off(cpu: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,8 +16,8 @@ RING_KB = 4096
 """Of each processor: 100,000 events, which a flood of interrupts fills in a second."""
 READ_BYTES = 1 << 16
 ATTEMPTS = 5
-MOST_READS = 20_000
-"""Of a page at the most each: where events come faster than they are read, this ends."""
+MOST_S = 0.5
+"""Where events come faster than they are read, a read ends after this, and the ring loses some."""
 
 EVENTS: dict[str, str] = {
     "sched/sched_switch": "",
@@ -81,9 +82,9 @@ class Trace:
         To be called a few times in the time that it takes to fill the ring. Events are made text by the kernel, in the
         time of who reads: to read them all costs less, and loses less, than to read a full ring when a cycle was late.
         """
-        found = []
+        found, end_s = [], time.monotonic() + MOST_S
         with contextlib.suppress(BlockingIOError):
-            for _ in range(MOST_READS):
+            while time.monotonic() < end_s:
                 found.append(os.read(self._fd, READ_BYTES))
         return b"".join(found).decode(errors="replace")
 

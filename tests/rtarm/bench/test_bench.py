@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planted_trials import impossible
 from rich.console import Console
 
 from config.loader import load_arm
@@ -51,6 +52,9 @@ from rtarm.bench.run import Extent, absent, run_bench
 from rtarm.console.errors import ExitCode, Refusal
 from rtarm.console.reporter import Reporter
 from rtarm.launch.own_domain import own_domain
+from rtarm.why_late.causes import Cause
+from rtarm.why_late.divide import Segment
+from rtarm.why_late.watch import Late
 from shm import files
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -283,6 +287,34 @@ def test_tables_fit_eighty_columns() -> None:
     ):
         assert word in text
     assert "CPU µs" in text and "… " not in text
+
+
+def test_causes_stand_where_they_were_traced() -> None:
+    assert "causes" not in document(measurements([[1]], [200]))
+    measured = Measurements()
+    disk = Segment(0, 400_000, Cause.INTERRUPT, "disk"), Segment(400_000, 412_000, Cause.OWN)
+    late = Late(1, True, disk), Late(2, True, (Segment(0, 200_000, Cause.TASK, "hog 2"),))
+    measured.add(200, "rtarm", "idle", replace(sliced([412_000]), late=late))
+    measured.add(200, "rtarm", "loaded", replace(sliced([1]), late=()))
+    found = document(measured)["causes"]["rtarm"]["200"]
+    assert [one["cause"] for one in found["idle"]] == ["interrupt", "other_task", "own_work"]
+    assert found["loaded"] == []
+    console = Console(file=io.StringIO(), width=200)
+    console.print(render(told(causes={"rtarm": {"200": found}})))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "rtarm, 200 Hz idle, the latest: 412 µs, interrupt, disk" in text
+    assert "interrupt 65%, another task 33%, our own work 2%" in text
+
+
+@pytest.mark.process
+@pytest.mark.skipif(bool(impossible()), reason=impossible())
+def test_why_the_cycles_of_a_run_were_late(tmp_path: Path) -> None:
+    extent = Extent((200,), repeats=1, slice_s=0.5, longest_s=60.0, who=("rtarm",))
+    console = Console(file=io.StringIO(), width=80)
+    assert run_bench(extent, tmp_path / "figures.json", None, Reporter(console), why=True) == ExitCode.DONE
+    found = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
+    assert set(found["causes"]["rtarm"]["200"]) == set(LOADS)
+    assert any("--why" in remark for remark in found["notes"])
 
 
 def test_plot(tmp_path: Path) -> None:
