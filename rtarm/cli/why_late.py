@@ -31,7 +31,7 @@ def why_late(
     The time of each late cycle is divided by the kernel's own trace events: interrupts, other tasks, a late timer, a
     machine that stood still. That needs root; without, it says which counters rose. Ctrl-C ends it early.
 
-    Example: [bold]sudo "$(command -v rtarm)" why-late episode1 --seconds 60[/bold]
+    Example: [bold]rtarm why-late episode1 --seconds 60 --bound-us 200[/bold]
     """
     with sentences({} if as_json else None):
         from rtarm.why_late.report import render
