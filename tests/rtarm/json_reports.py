@@ -31,15 +31,11 @@ from rtarm.scan.search import FoundDrive
 from rtarm.scan.search import Outcome as Searched
 from rtarm.teach.file import motion_path, require_free, save
 from rtarm.teach.motion import Motion
-<<<<<<< HEAD
-from rtloop.drives.zdt_protocol import Block, HomingParameters, Trip, Version
-=======
 from rtarm.why_late.causes import Cause
 from rtarm.why_late.divide import Segment
 from rtarm.why_late.report import report_of as report_of_why_late
 from rtarm.why_late.watch import Late
-from rtloop.drives.zdt_registers import Block, HomingParameters, Trip, Version
->>>>>>> 08802050 (why-late: pages, stable names, and what the doctor says of trace events)
+from rtloop.drives.zdt_protocol import Block, HomingParameters, Trip, Version
 from rtloop.offline.settings.compare import as_json
 from rtloop.offline.settings.session import Written
 from rtloop.offline.settings.zdt import report_of
