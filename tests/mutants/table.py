@@ -45,7 +45,7 @@ LEAVES = (
     Leaf(
         "rtloop/trajectory/limits.py",
         ("tests/rtloop/safety/test_limits.py",),
-        ("clamped_rad", "stopping_distance_rad", "highest_rad_s", "hardest_rad_s2"),
+        ("clamped_rad", "stopping_distance_rad", "stop_rad", "keeps_room", "highest_rad_s", "hardest_rad_s2"),
     ),
     Leaf(
         "rtloop/safety/setpoint_check.py",

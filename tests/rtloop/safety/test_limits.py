@@ -18,7 +18,7 @@ from rosfront.refusals import BeyondLimits
 from rtloop.commands import setpoint_reader
 from rtloop.process.initial_state import new_loop
 from rtloop.safety import setpoint_check
-from rtloop.trajectory.limits import stopping_distance_rad
+from rtloop.trajectory.limits import BESIDE_RAD, clamped_rad, keeps_room, stop_rad, stopping_distance_rad
 from shm import layout
 from shm.words import Entry, Fault, Mode, Setpoint
 
@@ -178,6 +178,39 @@ def test_the_first_joint_that_breaks_a_limit_is_the_one_that_is_named(arm: Stand
 def test_the_way_to_rest_is_that_of_braking_step_by_step(velocity: float, braking: float) -> None:
     way = stopping_distance_rad(velocity, braking, PERIOD_S)
     assert way == pytest.approx(math.copysign(way_rad(abs(velocity), braking), velocity), abs=1e-9)
+
+
+@some_joints
+def test_a_position_is_clamped_to_what_the_joint_may_be_told(arm: StandingArm, joint: int) -> None:
+    row, config = arm.loop[0]["joints"][joint], ARM.joints[joint]
+    low, high = config.lower_rad - config.slack_rad, config.upper_rad + config.slack_rad
+    for position, clamped in (
+        (low - 1.0, low),
+        (low, low),
+        (0.5 * (low + high), 0.5 * (low + high)),
+        (high + 1.0, high),
+    ):
+        assert clamped_rad(row, position) == pytest.approx(clamped, abs=1e-12)
+
+
+@some_joints
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_keeps_room_as_long_as_it_stops_inside(arm: StandingArm, joint: int, sign: float) -> None:
+    loop, config = arm.loop[0], ARM.joints[joint]
+    limit = config.upper_rad + config.slack_rad if sign > 0.0 else config.lower_rad - config.slack_rad
+    velocity = sign * 0.5 * config.max_velocity_rad_s
+    way = stop_rad(loop, joint, 0.0, velocity)
+    assert way * sign > 0.0
+
+    def keeps(beyond: float, velocities: tuple[float, float]) -> bool:
+        position = limit - way + sign * beyond
+        return bool(keeps_room(loop, joint, position, position, min(velocities), max(velocities)))
+
+    there = (velocity, velocity)
+    assert keeps(-BESIDE_RAD, there) and keeps(0.0, there) and not keeps(3.0 * BESIDE_RAD, there)
+    assert not keeps(3.0 * BESIDE_RAD, (0.0, velocity)), "the fastest of a span counts"
+    assert keeps(way * sign + 1.0, (0.0, 0.0)), "one at rest was found there"
+    assert keeps(way * sign + 1.0, (0.0, -velocity)), "and may move in"
 
 
 EVERY_JOINT = (1 << len(ARM.joints)) - 1
