@@ -18,6 +18,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import NamedTuple
 
+import planted
 from planted import PAGES_PERIOD_NS
 from stack import Stack
 
@@ -54,11 +55,14 @@ class Lines:
     """A plant in a process of its own, pinned to a processor, and the numbers that it prints."""
 
     def __init__(self, *arguments: object, cpu: int | None) -> None:
-        command = [sys.executable, "-m", "planted", *map(str, arguments)]
+        command = [sys.executable, planted.__file__, *map(str, arguments)]
         pinned = [] if cpu is None else ["taskset", "-c", str(cpu)]
         self.process = subprocess.Popen([*pinned, *command], stdout=subprocess.PIPE, text=True)
         self._lines: SimpleQueue[tuple[int, ...]] = SimpleQueue()
-        assert self.process.stdout is not None and self.process.stdout.readline() == "ready\n"
+        assert self.process.stdout is not None
+        if self.process.stdout.readline() != "ready\n":
+            with self.process:
+                raise RuntimeError(f"{command} ends with code {self.process.wait()} before it is ready")
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
