@@ -24,6 +24,7 @@ from stack import Stack
 
 from rtarm.why_late.causes import Cause
 from rtarm.why_late.report import mostly
+from rtarm.why_late.run import looker
 from rtarm.why_late.tracefs import NotTraced, place, traced
 from rtarm.why_late.watch import LOOK_S, ArmCycles, Cycle, Late, Watcher, cycle_thread
 from shm.client import StateReader
@@ -106,13 +107,14 @@ class LoopCycles:
         return found
 
 
-def watched(lines: Lines, watcher: Watcher) -> None:
+def watched(lines: Lines, watcher: Watcher, tid: int) -> None:
     """Watch until the plant has ended."""
-    while lines.process.poll() is None:
+    with looker(tid) as thread:
+        while lines.process.poll() is None:
+            time.sleep(LOOK_S)
+            thread.submit(watcher.look).result()
         time.sleep(LOOK_S)
-        watcher.look()
-    time.sleep(LOOK_S)
-    watcher.look(settle_ns=0)
+        thread.submit(watcher.look, settle_ns=0).result()
 
 
 class Trial(NamedTuple):
@@ -152,7 +154,7 @@ def apart(cause: str, pid: int, watcher: Watcher, plants: Sequence[tuple[int, ..
 
 
 def _was_there(late: Late, plants: Sequence[tuple[int, ...]]) -> bool:
-    start_ns, end_ns = late.segments[0].start_ns, late.segments[-1].end_ns
+    start_ns, end_ns = late.start_ns, late.end_ns
     there_ns = sum(max(0, min(end_ns, until_ns) - max(start_ns, from_ns)) for from_ns, until_ns in plants)
     return 2 * there_ns > end_ns - start_ns
 
@@ -186,7 +188,7 @@ def planted_in_arm(stack: Stack, cause: str, count: int) -> Trial:
         numbers = (pid, count) if cause == "stop" else (due_ns, period_ns, count)
         lines = Lines(cause, *numbers, cpu=None if cause == "stop" else CPU)
         try:
-            watched(lines, watcher)
+            watched(lines, watcher, tid)
         finally:
             lines.close()
     return apart(cause, lines.process.pid, watcher, lines.new())
@@ -199,7 +201,7 @@ def planted_in_loop(count: int) -> Trial:
         with traced(lines.process.pid) as trace:
             source = LoopCycles(lines)
             watcher = Watcher(source, lines.process.pid, trace.read, BOUND_NS)
-            watched(lines, watcher)
+            watched(lines, watcher, lines.process.pid)
     finally:
         lines.close()
     return apart("pages", lines.process.pid, watcher, source.planted)

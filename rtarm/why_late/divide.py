@@ -2,7 +2,8 @@
 
 Nothing here knows of arms. What a processor was doing is followed from event to event (task, interrupts and softirqs
 on top of it), and so is the thread (asleep, ready, running, stopped). Between two events both are constant, and the
-pair of them is the cause. What is not known from an event before is unknown.
+pair of them is the cause. What is not known from an event before is unknown; nor is anything that rests on events of a
+processor that were lost.
 
 Some kernels do not tell of the switch from idle to a task (seen on Linux 6.18, on all processors of a virtual machine
 but the first). So such a switch is also taken from the events that follow, each of which names the task it came in.
@@ -10,6 +11,7 @@ but the first). So such a switch is also taken from the events that follow, each
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
@@ -41,6 +43,11 @@ STILL_NS = 100_000
 """A processor that was taken away for less than this is not told from one that is slow."""
 SENT = ("call_function", "call_function_single", "reschedule", "irq_work", "ipi")
 """Interrupts that processors send each other."""
+SENT_NS = 1_000_000
+"""An interrupt that comes later is not that which was sent: a processor that is on its way anyway takes none."""
+HELD_BACK = "ready beside an idle processor: a limit of its time, such as cpu.max of its control group"
+_OF_A_TASK = Woken | Moved | Signal | Sent
+"""Events of processors of which nothing else may be traced, so that what they are in is not followed."""
 STOPPING_SIGNALS = {19: "SIGSTOP", 20: "SIGTSTP", 21: "SIGTTIN", 22: "SIGTTOU"}
 
 
@@ -58,6 +65,7 @@ class Segment(NamedTuple):
 
 
 NO_TIMER = -1
+NEVER_NS = -1
 
 
 class _Is(Enum):
@@ -75,6 +83,9 @@ class _Processor:
     entered: list[Enter] = field(default_factory=list)
     work: str = ""
     sender: str = ""
+    sent_ns: int = 0
+    whole: bool = True
+    """Nothing is missing in `entered`."""
 
 
 @dataclass
@@ -87,40 +98,67 @@ class _Thread:
     fault_ns: int | None = None
     stopped_by: str = ""
     faulting: bool = False
+    held_back: bool = False
 
 
-def divide(events: Sequence[Event], tid: int, start_ns: int, end_ns: int, *, runs: bool = False) -> list[Segment]:
-    """The causes of an interval of a thread; `events` in order, from well before it on.
+def divide(
+    events: Sequence[Event], tid: int, start_ns: int, end_ns: int, *, runs: bool = False, slept_by_ns: int | None = None
+) -> list[Segment]:
+    """The causes of one interval of a thread, as `Divider` says; it is due at the start, unless it runs there."""
+    if slept_by_ns is None:
+        slept_by_ns = NEVER_NS if runs else start_ns
+    return Divider(events, tid).divide(start_ns, end_ns, runs=runs, slept_by_ns=slept_by_ns)
 
-    `runs`: the thread is known to run at its start, since it read the clock then. The segments follow each other
-    without a gap from start to end; neighbours differ in cause or name.
-    """
-    found: list[Segment] = []
-    processors: dict[int, _Processor] = {}
-    thread = _Thread(tid)
-    woken = _woken_from(events, tid)
-    unseen = _left_idle_unseen(events)
-    now_ns = start_ns
-    for number, event in enumerate(events):
-        until_ns = min(event.time_ns, end_ns)
-        if runs and event.time_ns >= start_ns:
-            runs = _found_running(processors, thread)
-        if until_ns > now_ns:
-            found += _constant(processors, thread, now_ns, until_ns)
-            now_ns = until_ns
-        if event.time_ns >= end_ns:
-            break
-        processor = processors.setdefault(event.cpu, _Processor())
-        _follow(processor, thread, event, woken.get(number))
-        if number in unseen and unseen[number].pid != tid:
-            processor.task = unseen[number]
-        if isinstance(event.what, Sent):
-            for cpu in event.what.cpus:
-                processors.setdefault(cpu, _Processor()).sender = _named(event.task)
-    if runs:
-        _found_running(processors, thread)
-    found += _constant(processors, thread, now_ns, end_ns)
-    return list(_merged(found))
+
+class Divider:
+    """Divides intervals of a thread by the same events, which are in the order of time."""
+
+    def __init__(self, events: Sequence[Event], tid: int) -> None:
+        self._events, self._tid = events, tid
+        self._times = [event.time_ns for event in events]
+        self._woken = _woken_from(events, tid)
+        self._unseen = _left_idle_unseen(events)
+
+    def divide(
+        self, start_ns: int, end_ns: int, *, runs: bool, slept_by_ns: int, history_ns: int | None = None
+    ) -> list[Segment]:
+        """The causes of an interval. The segments follow each other without a gap; neighbours differ in cause or name.
+
+        `runs`: the thread is known to run at its start, since it read the clock then. A sleep that begins later than
+        `slept_by_ns` is none for the timer that is due, whoever ends it. Events older than `history_ns` before the
+        start are not looked at; None: all are.
+        """
+        found: list[Segment] = []
+        processors: dict[int, _Processor] = {}
+        thread = _Thread(self._tid)
+        now_ns = start_ns
+        first = 0 if history_ns is None else bisect_left(self._times, start_ns - history_ns)
+        for number in range(first, len(self._events)):
+            event = self._events[number]
+            if runs and event.time_ns >= start_ns:
+                runs = _found_running(processors, thread)
+            until_ns = min(event.time_ns, end_ns)
+            if until_ns > now_ns:
+                found += _constant(processors, thread, now_ns, until_ns)
+                now_ns = until_ns
+            if event.time_ns >= end_ns:
+                break
+            processor = processors.setdefault(event.cpu, _Processor())
+            woken = self._woken.get(number)
+            if woken is not None and event.time_ns > slept_by_ns:
+                woken = NO_TIMER
+            _follow(processor, thread, event, woken)
+            task = self._unseen.get(number)
+            if task is not None and task.pid != self._tid:
+                processor.task = task
+            if isinstance(event.what, Sent):
+                for cpu in event.what.cpus:
+                    sent = processors.setdefault(cpu, _Processor())
+                    sent.sender, sent.sent_ns = _named(event.task), event.time_ns
+        if runs:
+            _found_running(processors, thread)
+        found += _constant(processors, thread, now_ns, end_ns)
+        return list(_merged(found))
 
 
 def stood_still(segments: Iterable[Segment], stolen_ns: int) -> list[Segment]:
@@ -148,7 +186,7 @@ def _woken_from(events: Sequence[Event], tid: int) -> dict[int, int]:
         match event.what:
             case Enter(timer=True):
                 timers.add(event.cpu)
-            case Exit(key="hrtimer") | Switch() if event.cpu in timers:
+            case Exit() | Switch() | Lost():
                 timers.discard(event.cpu)
         match event.what:
             case Switch(before=before) if before.pid == tid:
@@ -168,6 +206,10 @@ def _left_idle_unseen(events: Sequence[Event]) -> dict[int, Task]:
     last: dict[int, int] = {}
     prios = {task.pid: task.prio for event in events if isinstance(event.what, Switch) for task in event.what[::2]}
     for number, event in enumerate(events):
+        if isinstance(event.what, Lost):
+            last.pop(event.cpu, None)
+        if isinstance(event.what, Lost | _OF_A_TASK):
+            continue
         before = last.get(event.cpu)
         if before is not None and _task_behind(events[before]).is_idle and not event.task.is_idle:
             found[before] = event.task._replace(prio=prios.get(event.task.pid))
@@ -192,26 +234,30 @@ def _follow(processor: _Processor, thread: _Thread, event: Event, woken: int | N
     """Take an event into account; `woken` as `_woken_from` says of it, None where that was not seen."""
     what, tid = event.what, thread.tid
     if isinstance(what, Lost):
-        processor.task, processor.entered = None, []
-        if thread.cpu == event.cpu:
+        processor.task, processor.entered, processor.whole = None, [], False
+        if thread.cpu == event.cpu or thread.state is _Is.READY:  # it may have been moved there
             thread.state = _Is.UNKNOWN
         return
-    if not isinstance(what, Switch) and (processor.task is None or processor.task.pid != event.task.pid):
+    processor.whole = processor.whole or event.bare
+    if not isinstance(what, Switch | _OF_A_TASK) and (processor.task is None or processor.task.pid != event.task.pid):
         processor.task = event.task
-        if event.task.pid == tid:
-            thread.state, thread.cpu = _Is.RUNNING, event.cpu
+    if event.task.pid == tid and not isinstance(what, Switch):
+        thread.state, thread.cpu, processor.task = _Is.RUNNING, event.cpu, event.task
     if event.task.pid == tid and not processor.entered and not isinstance(what, Switch | Enter):
         thread.fault_ns = None  # its next event ends a fault
     match what:
         case Switch():
-            processor.task, processor.entered, processor.work = what.after, [], ""
+            processor.task, processor.entered, processor.work, processor.whole = what.after, [], "", True
             if what.before.pid == tid:
                 thread.cpu, thread.prio, thread.moved = event.cpu, what.before.prio, False
                 _leave(thread, what.state, woken)
+                thread.held_back = thread.state is _Is.READY and what.after.is_idle
             elif what.after.pid == tid:
                 thread.state, thread.cpu, thread.prio = _Is.RUNNING, event.cpu, what.after.prio
         case Enter():
-            processor.entered.append(_with_sender(what, processor))
+            if what.timer:
+                processor.entered = [one for one in processor.entered if not one.timer]
+            processor.entered.append(_with_sender(what, processor, event.time_ns))
         case Exit():
             keys = [one.key for one in processor.entered]
             if what.key in keys:
@@ -221,10 +267,10 @@ def _follow(processor: _Processor, thread: _Thread, event: Event, woken: int | N
         case Work():
             processor.work = what.function
         case Woken() if what.pid == tid and thread.state is not _Is.RUNNING:
-            thread.state, thread.cpu = _Is.READY, what.cpu
+            thread.state, thread.cpu, thread.held_back = _Is.READY, what.cpu, False
         case Moved() if what.pid == tid:
             thread.moved, thread.cpu = thread.moved or what.cpu != thread.cpu, what.cpu
-        case Signal() if what.number in STOPPING_SIGNALS:
+        case Signal() if what.number in STOPPING_SIGNALS:  # to this thread's process: others are not traced
             thread.stopped_by = f"{STOPPING_SIGNALS[what.number]} from {_named(event.task)}"
 
 
@@ -269,7 +315,7 @@ def _why(processor: _Processor | None, thread: _Thread) -> tuple[Cause, str]:
             return Cause.STOPPED, thread.stopped_by
         case _Is.BLOCKED:
             return (Cause.PAGE_FAULT, "") if thread.faulting else (Cause.BLOCKED, "")
-    if processor is None or processor.task is None:
+    if processor is None or processor.task is None or not (processor.whole or processor.entered):
         return Cause.UNKNOWN, ""
     task, above = processor.task, processor.entered
     hard = [one for one in above if one.hard]
@@ -283,6 +329,8 @@ def _why(processor: _Processor | None, thread: _Thread) -> tuple[Cause, str]:
         return (Cause.OWN, "") if thread.fault_ns is None else (Cause.PAGE_FAULT, "")
     if task.pid == thread.tid:
         return Cause.UNKNOWN, ""
+    if task.is_idle and thread.held_back and not thread.moved:
+        return Cause.UNKNOWN, HELD_BACK
     if task.is_idle:
         return (Cause.MIGRATION if thread.moved else Cause.IDLE_EXIT), ""
     return Cause.TASK, _described(task, processor.work, thread.prio)
@@ -302,7 +350,6 @@ def _described(task: Task, work: str, own_prio: int | None) -> str:
         return f"{named}: the kernel's stopper, before all others"
     if task.prio is None or own_prio is None:
         return named
-    priority = f"real-time {99 - task.prio}" if task.prio < NORMAL_PRIO else f"nice {task.prio - 120}"
     if task.prio < own_prio:
         why = "before us"
     elif own_prio >= NORMAL_PRIO:
@@ -311,19 +358,25 @@ def _described(task: Task, work: str, own_prio: int | None) -> str:
         why = "same as ours, and came first"
     else:
         why = "behind us, but could not be interrupted at once"
-    return f"{named} ({priority}: {why})"
+    return f"{named} ({_priority(task.prio)}: {why})"
+
+
+def _priority(prio: int) -> str:
+    if prio < 0:
+        return "deadline"
+    return f"real-time {99 - prio}" if prio < NORMAL_PRIO else f"nice {prio - 120}"
 
 
 def _named(task: Task) -> str:
     return f"{task.name} {task.pid}"
 
 
-def _with_sender(entered: Enter, processor: _Processor) -> Enter:
+def _with_sender(entered: Enter, processor: _Processor, time_ns: int) -> Enter:
     """An interrupt that another processor asked for, with who did."""
     if entered.key not in SENT or not processor.sender:
         return entered
     sender, processor.sender = processor.sender, ""
-    return entered._replace(name=f"{entered.name} from {sender}")
+    return entered._replace(name=f"{entered.name} from {sender}") if time_ns - processor.sent_ns < SENT_NS else entered
 
 
 def _merged(segments: Iterable[Segment]) -> Iterable[Segment]:

@@ -1,7 +1,8 @@
 """The kernel's trace, as text, in events; lines that mean nothing here are passed over.
 
 A line is `  comm-pid  [cpu] flags seconds.micros: event: fields`, and says with every event which task its processor
-was in. Times are CLOCK_MONOTONIC (the instance's clock is `mono`), cut to whole µs.
+was in. The flags differ from kernel to kernel in their columns, not in their letters. Times are CLOCK_MONOTONIC (the
+instance's clock is `mono`), cut to whole µs.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ NORMAL_PRIO = 100
 """The kernel's priorities from here on are those of ordinary tasks; below, 99 less the real-time priority."""
 MOST_WITHOUT_TIME = 64
 """More remarks than that do not follow each other amid a trace."""
+NAMELESS = "<...>"
+"""What stands for the name of a task that the kernel does not remember."""
 
 
 class Task(NamedTuple):
@@ -31,12 +34,16 @@ class Task(NamedTuple):
 
 
 class Event(NamedTuple):
-    """Something at a moment on a processor, in a task. What `what` may be:"""
+    """Something at a moment on a processor, in a task. What `what` may be stands below.
+
+    `bare` is set where the flags say that the processor was in no interrupt or softirq.
+    """
 
     time_ns: int
     cpu: int
     task: Task
     what: Switch | Woken | Moved | Enter | Exit | Fault | Signal | Work | Sent | Lost
+    bare: bool = False
 
 
 class Switch(NamedTuple):
@@ -64,7 +71,7 @@ class Moved(NamedTuple):
 class Enter(NamedTuple):
     """Something began that ends with the `Exit` of the same key: `hard` an interrupt, else a softirq.
 
-    `timer` is set for the callback of a timer within an interrupt.
+    `timer` is set for the callback of a timer, within an interrupt or a softirq; it ends with the next one, too.
     """
 
     key: str
@@ -103,10 +110,12 @@ class Sent(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """Events of the processor were overwritten before they were read."""
+    """Events of the processor were overwritten before they were read, from the one before on."""
 
 
-_LINE = re.compile(r"^\s*(.+)-(\d+)\s+(?:\([^)]*\)\s+)?\[(\d+)\]\s+(?:\S+\s+)?(\d+)\.(\d{6}): (\w+): ?(.*)$")
+_LINE = re.compile(r"^\s*(.+)-(\d+)\s+(?:\([^)]*\)\s+)?\[(\d+)\]\s+(?:(\S+)\s+)?(\d+)\.(\d{6}): (\w+): ?(.*)$")
+_HARD, _ABOVE = re.compile("[hHzZ]"), re.compile("[hHzZsS]")
+"""Flags of an interrupt, and of that or a softirq."""
 _TIME = re.compile(r"\] *\S* +(\d+)\.(\d{6}): ")
 _LOST = re.compile(r"CPU:(\d+) \[LOST (?:\d+ )?EVENTS\]")
 _SWITCH = re.compile(
@@ -121,7 +130,8 @@ _SOFTIRQ = re.compile(r"vec=(\d+) \[action=(\w+)\]")
 _HRTIMER = re.compile(r"function=(\S+)")
 _WORK = re.compile(r"function (\S+)")
 _IPI = re.compile(r"\((.*)\)")
-_SENT = re.compile(r"cpu(mask)?=(\S+)")
+_SENT = re.compile(r"cpu=(\d+)")
+_SENT_TO_MANY = re.compile(r"mask=([0-9a-f,]+) ")
 
 
 def _switch(found: re.Match[str]) -> Switch:
@@ -129,10 +139,8 @@ def _switch(found: re.Match[str]) -> Switch:
     return Switch(Task(before, int(pid), int(prio)), state, Task(after, int(next_pid), int(next_prio)))
 
 
-def _sent(found: re.Match[str]) -> Sent:
-    if not found[1]:
-        return Sent(frozenset([int(found[2])]))
-    bits = int(found[2].replace(",", ""), 16)
+def _sent_to_many(found: re.Match[str]) -> Sent:
+    bits = int(found[1].replace(",", "") or "0", 16)
     return Sent(frozenset(cpu for cpu in range(bits.bit_length()) if bits >> cpu & 1))
 
 
@@ -152,8 +160,9 @@ _READ: dict[str, tuple[re.Pattern[str], Callable[[re.Match[str]], Event | tuple[
     "workqueue_execute_end": (re.compile(""), lambda _: Work("")),
     "ipi_entry": (_IPI, lambda m: Enter("ipi", m[1], hard=True)),  # of processors without irq_vectors
     "ipi_exit": (re.compile(""), lambda _: Exit("ipi")),
-    "ipi_send_cpu": (_SENT, _sent),
-    "ipi_send_cpumask": (_SENT, _sent),
+    "ipi_raise": (_SENT_TO_MANY, _sent_to_many),
+    "ipi_send_cpu": (_SENT, lambda m: Sent(frozenset([int(m[1])]))),
+    "ipi_send_cpumask": (_SENT_TO_MANY, _sent_to_many),
     "page_fault_user": (re.compile(""), lambda _: Fault()),
     "page_fault_kernel": (re.compile(""), lambda _: Fault()),
 }
@@ -190,16 +199,23 @@ def since(lines: Sequence[str], start_ns: int) -> Sequence[str]:
 
 
 def parse(lines: Sequence[str]) -> Iterator[Event]:
-    """The events of the lines, in their order."""
-    time_ns = 0
+    """The events of the lines, in their order; that some were lost is of the moment behind which they are missing."""
+    names: dict[int, str] = {}
+    last_ns: dict[int, int] = {}
     for line in lines:
         found = _LINE.match(line)
         if found is None:
             if lost := _LOST.search(line):
-                yield Event(time_ns, int(lost[1]), Task("", NEVER_PID), Lost())
+                yield Event(last_ns.get(int(lost[1]), 0), int(lost[1]), Task("", NEVER_PID), Lost())
             continue
-        comm, pid, cpu, seconds, micros, name, fields = found.groups()
-        time_ns = int(seconds + micros) * 1000
+        comm, pid, cpu, flags, seconds, micros, name, fields = found.groups()
+        time_ns = last_ns[int(cpu)] = int(seconds + micros) * 1000
         what = _what(name, fields)
-        if what is not None:
-            yield Event(time_ns, int(cpu), Task(comm, int(pid)), what)  # type: ignore[arg-type]
+        if what is None:
+            continue
+        if isinstance(what, Switch):
+            names[what.before.pid], names[what.after.pid] = what.before.name, what.after.name
+        elif isinstance(what, Enter) and what.timer and flags and not _HARD.search(flags):
+            what = what._replace(hard=False)  # a softirq calls it
+        task = Task(names.get(int(pid), comm) if comm == NAMELESS else comm, int(pid))
+        yield Event(time_ns, int(cpu), task, what, bool(flags) and not _ABOVE.search(flags))  # type: ignore[arg-type]

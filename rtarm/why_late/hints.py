@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
@@ -11,20 +10,25 @@ from typing import Any
 from rtarm.why_late.watch import cpu_of, stolen_ns
 
 MOST = 6
+STEAL = "ms that the host took (steal)"
 
 
 class Hints:
     """Sums up what rose between looks, apart for looks with and without a late cycle."""
 
     def __init__(self, tid: int) -> None:
-        self._tid = tid
-        self._last = counted(tid)
+        self._tid, self._cpu = tid, cpu_of(tid)
+        self._last = counted(tid, self._cpu)
         self._risen: dict[bool, dict[str, float]] = {True: defaultdict(float), False: defaultdict(float)}
         self._looks: Counter[bool] = Counter()
 
     def look(self, *, late: bool) -> None:
         """Take what has risen since the last look, in which cycles were late or not."""
-        now = counted(self._tid)
+        cpu = cpu_of(self._tid)
+        now = counted(self._tid, cpu)
+        if cpu != self._cpu:  # the counters of another processor are no continuation of those
+            self._last = of_thread(self._tid)
+        self._cpu = cpu
         self._looks[late] += 1
         for what, value in now.items():
             self._risen[late][what] += value - self._last.get(what, value)
@@ -41,8 +45,13 @@ class Hints:
         return [told for _, told in sorted(found, key=lambda one: -one[0])[:MOST]]
 
 
-def counted(tid: int) -> dict[str, float]:
+def counted(tid: int, cpu: int) -> dict[str, float]:
     """What the kernel has counted of a thread and its processor, as far as it says so."""
+    return of_thread(tid) | of_processor(cpu)
+
+
+def of_thread(tid: int) -> dict[str, float]:
+    """The part that is the thread's own, wherever it runs."""
     found: dict[str, float] = {}
     task = Path(f"/proc/{tid}")
     with contextlib.suppress(OSError, IndexError, ValueError):
@@ -55,8 +64,12 @@ def counted(tid: int) -> dict[str, float]:
     with contextlib.suppress(OSError, IndexError, ValueError):
         stat = (task / "stat").read_text().rpartition(")")[2].split()
         found["page faults"], found["page faults from the disk"] = int(stat[7]), int(stat[9])
-    cpu = cpu_of(tid)
-    found["ms that the host took (steal)"] = stolen_ns(cpu) * 1e-6
+    return found
+
+
+def of_processor(cpu: int) -> dict[str, float]:
+    """The part that is the processor's."""
+    found = {STEAL: stolen_ns(cpu) * 1e-6}
     with contextlib.suppress(OSError):
         found |= _interrupts(cpu)
     return found
@@ -71,7 +84,7 @@ def _interrupts(cpu: int) -> dict[str, float]:
         name, _, rest = line.partition(":")
         fields = rest.split()
         if 0 <= column < len(fields) and fields[column].isdigit():
-            words = " ".join(fields[os.cpu_count() or 1 :])
+            words = " ".join(fields[len(heading.split()) :])
             found[f"interrupts {name.strip()} ({words})" if words else f"interrupts {name.strip()}"] = int(
                 fields[column]
             )

@@ -12,13 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from rtarm.why_late.causes import MEANINGS, WORDS, Cause
-from rtarm.why_late.divide import Segment
 from rtarm.why_late.watch import Late, Watcher
 
 MOSTLY = 3
 """Names that are told of a cause, those with most time first."""
-SHORT = 0.02
-"""Segments of less than this share of the interval are left out of a time line."""
 BAR = 24
 
 
@@ -49,16 +46,10 @@ def mostly(late: Iterable[Late], cause: Cause) -> list[tuple[str, int]]:
     """Who is named with a cause, and for how many ns, those with most time first."""
     names: Counter[str] = Counter()
     for one in late:
-        names.update(_names(segment for segment in one.segments if segment.cause is cause))
+        for (named, who), length_ns in one.by_name.items():
+            if named is cause and who:
+                names[who] += length_ns
     return names.most_common(MOSTLY)
-
-
-def _names(segments: Iterable[Segment]) -> Counter[str]:
-    names: Counter[str] = Counter()
-    for segment in segments:
-        if segment.who:
-            names[segment.who] += segment.length_ns
-    return names
 
 
 def report_of(arm: str, seconds: float, bound_us: float, watcher: Watcher, notes: Iterable[str]) -> dict[str, Any]:
@@ -77,38 +68,20 @@ def report_of(arm: str, seconds: float, bound_us: float, watcher: Watcher, notes
 
 
 def _plain(late: Late) -> dict[str, Any]:
-    start_ns = late.segments[0].start_ns
     return {
         "cycle": late.cycle,
         "what": "woke up late" if late.woke else "took long",
         "us": late.length_ns / 1000,
         "segments": [
             {
-                "at_us": (segment.start_ns - start_ns) / 1000,
+                "at_us": (segment.start_ns - late.start_ns) / 1000,
                 "us": segment.length_ns / 1000,
                 "cause": segment.cause.value,
                 "who": segment.who,
             }
-            for segment in time_line(late.segments)
+            for segment in late.segments
         ],
     }
-
-
-def time_line(segments: Sequence[Segment]) -> list[Segment]:
-    """The segments with the short ones left out, and neighbours of one cause together under its chief name."""
-    least_ns = SHORT * (segments[-1].end_ns - segments[0].start_ns)
-    groups: list[list[Segment]] = []
-    for segment in segments:
-        if groups and groups[-1][-1].cause is segment.cause:
-            groups[-1].append(segment)
-        else:
-            groups.append([segment])
-    found = []
-    for group in groups:
-        if group[-1].end_ns - group[0].start_ns >= least_ns:
-            who = next((name for name, _ in _names(group).most_common(1)), "")
-            found.append(Segment(group[0].start_ns, group[-1].end_ns, group[0].cause, who))
-    return found
 
 
 def render(report: Mapping[str, Any]) -> RenderableType:
@@ -155,7 +128,7 @@ def _example(one: Mapping[str, Any]) -> RenderableType:
 def _remarks(report: Mapping[str, Any]) -> list[RenderableType]:
     lines = list(report["notes"])
     if report["undivided"]:
-        lines.append(f"{report['undivided']} late cycles were too many at a time, and were not looked into.")
+        lines.append(f"{report['undivided']} late cycles were too many, and were not looked into.")
     if report["hints"]:
         lines.append("Counters that rose faster while cycles were late (hints, no causes), and otherwise, in 50 ms:")
         lines += [

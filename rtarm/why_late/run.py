@@ -24,6 +24,7 @@ from shm import files
 from shm.files import MemoryFile
 
 SHORTEST_S, LONGEST_S = 0.5, 86_400.0
+READING_NICE = -10
 LEAST_US, MOST_US = 10.0, 1_000_000.0
 
 
@@ -61,7 +62,7 @@ def _watched(memory: MemoryFile, seconds: float, bound_us: float) -> dict[str, A
             f"The control process of {name} (pid {pid}) cannot be looked at ({error.strerror}): run this as the same "
             "user, on the same machine and in the same container."
         ) from None
-    with signals_noted() as wait, _looker(tid) as thread, contextlib.ExitStack() as stack:
+    with signals_noted() as wait, looker(tid) as thread, contextlib.ExitStack() as stack:
         hints: Hints | None = None
         trace: Traced = str  # nothing, so that nothing is known but that a cycle was late
         try:
@@ -94,7 +95,7 @@ def beside(memory: MemoryFile, bound_ns: int) -> Iterator[Watcher]:
         OSError: the control process is gone.
     """
     tid, ended = cycle_thread(int(memory.record["header"]["pid"])), threading.Event()
-    with traced(tid) as trace, _looker(tid) as thread:
+    with traced(tid) as trace, looker(tid) as thread:
         watcher = Watcher(ArmCycles(memory), tid, trace.read, bound_ns)
 
         def look_on() -> None:
@@ -110,18 +111,25 @@ def beside(memory: MemoryFile, bound_ns: int) -> Iterator[Watcher]:
             looking.result()
 
 
-def _looker(tid: int) -> ThreadPoolExecutor:
+def looker(tid: int) -> ThreadPoolExecutor:
     """A thread that reads the trace and uses other processors than the cycle's, where there are others.
 
-    Beside a cycle of real-time priority it is an ordinary one: of the lowest priority it would not keep up with the
-    events of a busy machine.
+    Beside a cycle of real-time priority it goes before other ordinary ones, else it would not keep up with the events
+    of a busy machine; beside any other it is of the lowest priority.
     """
     cpu = cpu_of(tid)
-    if os.sched_getparam(tid).sched_priority > 0:
-        return ThreadPoolExecutor(max_workers=1, initializer=_keep_off, initargs=(cpu,))
+    with contextlib.suppress(ProcessLookupError):  # who watches notices that it is gone
+        if os.sched_getparam(tid).sched_priority > 0:
+            return ThreadPoolExecutor(max_workers=1, initializer=_keep_up, initargs=(cpu,))
     thread = nice_thread()
     thread.submit(_keep_off, cpu).result()
     return thread
+
+
+def _keep_up(cpu: int) -> None:
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), READING_NICE)
+    _keep_off(cpu)
 
 
 def _keep_off(cpu: int) -> None:

@@ -8,10 +8,10 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from bisect import bisect_left, bisect_right
-from collections import deque
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple, Protocol
@@ -19,8 +19,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from rtarm.why_late.causes import Cause
-from rtarm.why_late.divide import Segment, divide, stood_still
-from rtarm.why_late.events import parse, since
+from rtarm.why_late.divide import NEVER_NS, Divider, Segment, stood_still
+from rtarm.why_late.events import parse, since, time_of
 from shm.files import MemoryFile
 from shm.recording import now_at, read_on
 
@@ -33,8 +33,15 @@ MOST_A_LOOK = 50
 """Late cycles that are divided at a look, the latest ones; the others are counted."""
 MOST_KEPT = 100_000
 KEPT_NS = 1_000_000_000
-"""So long what was traced is kept."""
+"""So long what was traced is kept before the first cycle is known."""
+MOST_TEXT = 1 << 24
+"""Letters of what was traced that are kept, should a cycle not end."""
+BEHIND_NS = 2_000_000_000
+"""So long a late cycle waits for its events to be read."""
+SHORT = 0.02
+"""Segments of less than this share of the interval are left out of a time line."""
 TELLING_S = 0.3
+MOST_LINE = 4096
 USUAL = 1000
 """Cycles of which the usual time is taken."""
 _TICK_NS = 1_000_000_000 // os.sysconf("SC_CLK_TCK")
@@ -51,6 +58,11 @@ class Cycle(NamedTuple):
     due_ns: int
     woke_ns: int
     end_ns: int | None
+
+    @property
+    def last_ns(self) -> int:
+        """The last that is known of it."""
+        return self.end_ns or self.woke_ns
 
 
 class Source(Protocol):
@@ -91,27 +103,68 @@ class ArmCycles:
 
 @dataclass(frozen=True)
 class Late:
-    """An interval that was longer than the bound allows: a cycle that woke up late (`woke`), or computed for long."""
+    """An interval that was longer than the bound allows: a cycle that woke up late (`woke`), or computed for long.
+
+    `by_name` is all of it, in ns by cause and name; `segments` the time line, without what is too short to be drawn.
+    So one takes little room, however many interrupts there were.
+    """
 
     cycle: int
     woke: bool
+    start_ns: int
+    end_ns: int
+    by_name: Mapping[tuple[Cause, str], int]
     segments: tuple[Segment, ...]
-    by_cause: dict[Cause, int] = field(init=False)
 
-    def __post_init__(self) -> None:
-        total: dict[Cause, int] = {}
-        for segment in self.segments:
-            total[segment.cause] = total.get(segment.cause, 0) + segment.length_ns
-        object.__setattr__(self, "by_cause", total)
+    @classmethod
+    def of(cls, cycle: int, woke: bool, segments: Sequence[Segment]) -> Late:
+        """From the segments of the whole interval."""
+        total: dict[tuple[Cause, str], int] = {}
+        for one in segments:
+            total[one.cause, one.who] = total.get((one.cause, one.who), 0) + one.length_ns
+        return cls(cycle, woke, segments[0].start_ns, segments[-1].end_ns, total, tuple(time_line(segments)))
 
     @property
     def length_ns(self) -> int:
-        return self.segments[-1].end_ns - self.segments[0].start_ns
+        return self.end_ns - self.start_ns
+
+    @property
+    def by_cause(self) -> dict[Cause, int]:
+        total: dict[Cause, int] = {}
+        for (cause, _), length_ns in self.by_name.items():
+            total[cause] = total.get(cause, 0) + length_ns
+        return total
 
     @property
     def cause(self) -> Cause:
         """That with the largest part."""
-        return max(self.by_cause, key=lambda cause: self.by_cause[cause])
+        total = self.by_cause
+        return max(total, key=lambda cause: total[cause])
+
+
+def time_line(segments: Sequence[Segment]) -> list[Segment]:
+    """The segments with the short ones left out, and neighbours of one cause together under its chief name."""
+    least_ns = SHORT * (segments[-1].end_ns - segments[0].start_ns)
+    found = []
+    for cause, group in groupby(segments, key=lambda segment: segment.cause):
+        parts = list(group)
+        if parts[-1].end_ns - parts[0].start_ns >= least_ns:
+            names: Counter[str] = Counter()
+            for part in parts:
+                names[part.who] += part.length_ns if part.who else 0
+            ((who, _),) = names.most_common(1)
+            found.append(Segment(parts[0].start_ns, parts[-1].end_ns, cause, who))
+    return found
+
+
+class _Interval(NamedTuple):
+    """One of a cycle that is too long: its waking or its work; until when it fell asleep if it did so for its timer."""
+
+    cycle: int
+    woke: bool
+    start_ns: int
+    end_ns: int
+    slept_by_ns: int
 
 
 class Watcher:
@@ -120,7 +173,7 @@ class Watcher:
     Attributes:
         late: those found so far, in the order in which they were looked at.
         cycles: how many were looked at.
-        undivided: late ones that were too many for a look.
+        undivided: late ones that were too many for a look, or for all looks.
     """
 
     def __init__(self, source: Source, tid: int, trace: Traced, bound_ns: int) -> None:
@@ -131,8 +184,9 @@ class Watcher:
         self._history_ns = HISTORY_NS + 2 * source.period_ns
         self._text: deque[tuple[int, str]] = deque()
         self._waiting: list[Cycle] = []
+        self._last: Cycle | None = None
         self._usual: deque[int] = deque(maxlen=USUAL)
-        self._stolen: deque[tuple[int, int]] = deque([(time.monotonic_ns(), stolen_ns(cpu_of(tid)))], maxlen=200)
+        self._stolen: deque[tuple[int, int, int]] = deque([_stolen_of(tid)], maxlen=200)
 
     @property
     def count(self) -> int:
@@ -142,50 +196,84 @@ class Watcher:
     def look(self, settle_ns: int = SETTLE_NS) -> None:
         """Take what is new; to be called every `LOOK_S` or so, since the ring is overwritten."""
         self._waiting += self._source.new()
-        text = self._trace()
+        read_ns = self._read()
+        self._stolen.append(_stolen_of(self._tid))
         now_ns = time.monotonic_ns()
-        self._text.append((now_ns, text))
-        while self._text[0][0] < now_ns - KEPT_NS:
-            self._text.popleft()
-        self._stolen.append((now_ns, stolen_ns(cpu_of(self._tid))))
-        settled = [cycle for cycle in self._waiting if (cycle.end_ns or cycle.woke_ns) <= now_ns - settle_ns]
+        if settle_ns:  # else this is the last look
+            now_ns = max(min(now_ns, read_ns + settle_ns), now_ns - BEHIND_NS)
+        settled = [cycle for cycle in self._waiting if cycle.last_ns <= now_ns - settle_ns]
         del self._waiting[: len(settled)]
         self.cycles += len(settled)
         self._usual.extend(cycle.end_ns - cycle.woke_ns for cycle in settled if cycle.end_ns is not None)
-        wanted = sorted(self._intervals(settled), key=lambda one: one[2] - one[3])
+        wanted = sorted(self._intervals(settled), key=lambda one: one.start_ns - one.end_ns)
         room = max(0, min(MOST_A_LOOK, MOST_KEPT - len(self.late)))
         self.undivided += len(wanted[room:])
         if wanted[:room]:
             self._divide(sorted(wanted[:room]))
+        self._forget()
 
-    def _intervals(self, cycles: Iterable[Cycle]) -> list[tuple[int, bool, int, int]]:
-        """Number, whether it is the waking, start and end of those that are too long."""
+    def _read(self) -> int:
+        """Take what was traced, and until when that is all."""
+        text = self._trace()
+        if not text:
+            return time.monotonic_ns()
+        lines = text[-MOST_LINE:].split("\n")
+        read_ns = next((time_ns for line in reversed(lines) if (time_ns := time_of(line)) is not None), 0)
+        self._text.append((max(read_ns, self._text[-1][0] if self._text else 0), text))
+        return read_ns
+
+    def _forget(self) -> None:
+        """Let go of what no later cycle can need."""
+        cycles = self._waiting or ([] if self._last is None else [self._last])
+        from_ns = min((cycle.due_ns for cycle in cycles), default=time.monotonic_ns() - KEPT_NS) - self._history_ns
+        kept = sum(len(text) for _, text in self._text)
+        while self._text and (self._text[0][0] < from_ns or kept > MOST_TEXT):
+            kept -= len(self._text.popleft()[1])
+
+    def _intervals(self, cycles: Iterable[Cycle]) -> list[_Interval]:
+        """Those that are too long."""
         found = []
         usual_ns = int(median(self._usual)) if self._usual else 0
         for cycle in cycles:
             if cycle.woke_ns - cycle.due_ns > self._bound_ns:
-                found.append((cycle.number, True, cycle.due_ns, cycle.woke_ns))
+                slept = self._last is None or self._last.last_ns <= cycle.due_ns  # else its work was not done yet
+                found.append(
+                    _Interval(cycle.number, True, cycle.due_ns, cycle.woke_ns, cycle.due_ns if slept else NEVER_NS)
+                )
             if cycle.end_ns is not None and cycle.end_ns - cycle.woke_ns > usual_ns + self._bound_ns:
-                found.append((cycle.number, False, cycle.woke_ns, cycle.end_ns))
+                found.append(_Interval(cycle.number, False, cycle.woke_ns, cycle.end_ns, NEVER_NS))
+            self._last = cycle
         return found
 
-    def _divide(self, wanted: Sequence[tuple[int, bool, int, int]]) -> None:
-        first_ns = min(start_ns for *_, start_ns, _ in wanted) - self._history_ns
-        lines = "".join(text for read_ns, text in self._text if read_ns >= first_ns).splitlines()
-        events = sorted(parse(since(lines, first_ns)), key=lambda event: event.time_ns)
-        times = [event.time_ns for event in events]
-        for number, woke, start_ns, end_ns in wanted:
-            # behind the end too: who woke the thread tells what it had slept for
-            around = slice(
-                bisect_left(times, start_ns - self._history_ns), bisect_right(times, end_ns + self._history_ns)
+    def _divide(self, wanted: Sequence[_Interval]) -> None:
+        first_ns = min(one.start_ns for one in wanted) - self._history_ns
+        lines = "".join(text for last_ns, text in self._text if last_ns >= first_ns).split("\n")
+        divider = Divider(sorted(parse(since(lines, first_ns)), key=lambda event: event.time_ns), self._tid)
+        for one in wanted:
+            segments = divider.divide(
+                one.start_ns,
+                one.end_ns,
+                runs=not one.woke,
+                slept_by_ns=one.slept_by_ns,
+                history_ns=self._history_ns,
             )
-            segments = divide(events[around], self._tid, start_ns, end_ns, runs=not woke)
-            self.late.append(Late(number, woke, tuple(stood_still(segments, self._stolen_in(start_ns, end_ns)))))
+            segments = stood_still(segments, self._stolen_in(one.start_ns, one.end_ns))
+            self.late.append(Late.of(one.cycle, one.woke, segments))
 
     def _stolen_in(self, start_ns: int, end_ns: int) -> int:
-        before = [stolen for at_ns, stolen in self._stolen if at_ns <= start_ns]
-        after = [stolen for at_ns, stolen in self._stolen if at_ns >= end_ns]
-        return after[0] - before[-1] if before and after else 0
+        """What the host took of the thread's processor around an interval; 0 where it was on several."""
+        first = max((number for number, one in enumerate(self._stolen) if one[0] <= start_ns), default=None)
+        last = min((number for number, one in enumerate(self._stolen) if one[0] >= end_ns), default=None)
+        if first is None or last is None:
+            return 0
+        around = list(self._stolen)[first : last + 1]
+        return around[-1][2] - around[0][2] if len({cpu for _, cpu, _ in around}) == 1 else 0
+
+
+def _stolen_of(tid: int) -> tuple[int, int, int]:
+    """When, the processor of a thread, and for how long the host has given it to others."""
+    cpu = cpu_of(tid)
+    return time.monotonic_ns(), cpu, stolen_ns(cpu)
 
 
 def cpu_of(tid: int) -> int:

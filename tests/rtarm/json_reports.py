@@ -194,7 +194,7 @@ def of_motions() -> Reports:
 
 def of_why_late() -> Reports:
     """Of a late cycle with its cause, without permission, and of an arm that does not run."""
-    late = Late(7, True, (Segment(0, 2_000_000, Cause.TASK, "hog 20"), Segment(2_000_000, 2_010_000, Cause.OWN)))
+    late = Late.of(7, True, (Segment(0, 2_000_000, Cause.TASK, "hog 20"), Segment(2_000_000, 2_010_000, Cause.OWN)))
     watcher = SimpleNamespace(late=[late], cycles=10, count=1, undivided=0)
     hint = {"what": "page faults", "a_look_with_late_cycles": 1.0, "a_look_without": 0.0}
     found = report_of_why_late("an_arm", 1.0, 100.0, watcher, ["It ended."])  # type: ignore[arg-type]

@@ -293,7 +293,7 @@ def test_causes_stand_where_they_were_traced() -> None:
     assert "causes" not in document(measurements([[1]], [200]))
     measured = Measurements()
     disk = Segment(0, 400_000, Cause.INTERRUPT, "disk"), Segment(400_000, 412_000, Cause.OWN)
-    late = Late(1, True, disk), Late(2, True, (Segment(0, 200_000, Cause.TASK, "hog 2"),))
+    late = Late.of(1, True, disk), Late.of(2, True, (Segment(0, 200_000, Cause.TASK, "hog 2"),))
     measured.add(200, "rtarm", "idle", replace(sliced([412_000]), late=late))
     measured.add(200, "rtarm", "loaded", replace(sliced([1]), late=()))
     found = document(measured)["causes"]["rtarm"]["200"]

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtarm.why_late.causes import Cause
-from rtarm.why_late.divide import FAULT_NS, STILL_NS, Segment, divide, stood_still
+from rtarm.why_late.divide import FAULT_NS, HELD_BACK, STILL_NS, Segment, divide, stood_still
 from rtarm.why_late.events import (
     Enter,
     Event,
@@ -136,6 +136,7 @@ def test_a_task_of_higher_priority() -> None:
     [
         (CALM, 19, "calm 30 (nice 0: behind us, but could not be interrupted at once)"),
         (HOG, 4, "hog 20 (real-time 95: same as ours, and came first)"),
+        (Task("dl", 60, -1), 19, "dl 60 (deadline: before us)"),
         (CALM, 120, "calm 30 (nice 0: we have no real-time priority)"),
         (Task("migration/1", 18, 0), 19, "migration/1 18: the kernel's stopper, before all others"),
     ],
@@ -250,6 +251,79 @@ def test_the_cycle_leaves_idle_and_the_kernel_does_not_tell() -> None:
     assert segment == Segment(110_000, 2_000_000, Cause.OWN)
 
 
+def test_a_timer_of_another_wait_is_no_late_one() -> None:
+    """A wait for the wire that ends by its time limit, in the cycle's work or in that of the one before."""
+    events = [*runs(0), at(100, CYCLE, Switch(CYCLE, "S", IDLE)), *fired(1100), *runs(1105)]
+    (*_, wait) = divide(events, 10, 50_000, 1_100_000, runs=True)
+    assert wait == Segment(100_000, 1_100_000, Cause.BLOCKED)
+    assert divided(events, 50, 1100)[-1] == (1000, Cause.BLOCKED, "")
+    assert divided(events, 101, 1100) == [(999, Cause.TIMER_IDLE, "")]
+    assert divide(events, 10, 101_000, 1_100_000, slept_by_ns=0) == [Segment(101_000, 1_100_000, Cause.BLOCKED)]
+
+
+def test_a_timer_that_a_softirq_calls() -> None:
+    events = [
+        *asleep(CALM),
+        *fired(50, CALM),
+        at(60, CALM, Enter("softirq 8", "HRTIMER", hard=False)),
+        at(61, CALM, Enter("hrtimer", "slow", hard=False, timer=True)),
+        at(90, CALM, Exit("softirq 8")),
+    ]
+    assert divided(events, 54, 90) == [
+        (6, Cause.TASK, "calm 30 (nice 0: behind us, but could not be interrupted at once)"),
+        (1, Cause.SOFTIRQ, "HRTIMER"),
+        (29, Cause.SOFTIRQ, "slow"),
+    ]
+
+
+def test_the_end_of_a_timer_need_not_be_told() -> None:
+    events = [event for event in [*asleep(), *fired(100), *runs(110)] if event.what != Exit("hrtimer")]
+    assert divided(events, 100, 110) == [
+        (1, Cause.INTERRUPT, "local_timer"),
+        (3, Cause.INTERRUPT, "local_timer: hrtimer_wakeup"),
+        (6, Cause.IDLE_EXIT, ""),
+    ]
+    many = [at(99, IDLE, TIMER), *(at(100 + number, IDLE, CALLBACK) for number in range(50))]
+    assert divided([*asleep(), *many, *fired(150)[2:]], 100, 150) == [
+        (50, Cause.INTERRUPT, "local_timer: hrtimer_wakeup")
+    ]
+
+
+def test_what_was_lost_is_unknown_from_the_last_event_before_it() -> None:
+    """The hog was the last that was seen; what ran then, and in which interrupt, is not known."""
+    events = [*asleep(HOG), at(200, HOG, Lost()), at(500, HOG, Exit("hrtimer")), *fired(600, HOG)[1:]]
+    assert {cause for _, cause, _ in divided(events, 200, 600)} == {Cause.UNKNOWN}
+    bare = [*events, at(605, HOG, Work(""))._replace(bare=True)]
+    assert divided(bare, 605, 610) == [(5, Cause.TASK, "hog 20 (real-time 95: before us)")]
+
+
+def test_who_waits_may_have_been_moved_to_where_events_were_lost() -> None:
+    events = [*asleep(HOG), *fired(100, HOG), at(150, HOG, Lost(), cpu=0), *runs(300, HOG)]
+    assert [found[:2] for found in divided(events, 104, 300)] == [(46, Cause.TASK), (150, Cause.UNKNOWN)]
+
+
+def test_an_event_of_another_processor_says_nothing_of_what_that_is_in() -> None:
+    """Nothing but signals and wake-ups may be traced there; so the one that it is moved to is not known."""
+    events = [*asleep(CALM), at(50, HOG, Signal(19, 9), cpu=0), *fired(100, CALM), at(110, CALM, Moved(10, 0))]
+    assert divided(events, 110, 200) == [(90, Cause.UNKNOWN, "")]
+
+
+def test_who_asked_for_an_interrupt_is_forgotten_soon() -> None:
+    events = [
+        *asleep(),
+        at(80, CALM, Sent(frozenset([1])), cpu=0),
+        at(2000, IDLE, Enter("irq_work", "irq_work", hard=True)),
+        at(2050, IDLE, Exit("irq_work")),
+        *fired(2060),
+    ]
+    assert divided(events, 2000, 2050) == [(50, Cause.INTERRUPT, "irq_work")]
+
+
+def test_a_ready_thread_beside_an_idle_processor_is_held_back() -> None:
+    events = [*runs(0), at(100, CYCLE, Switch(CYCLE, "R", IDLE)), *runs(50_000)]
+    assert divided(events, 100, 50_000) == [(49_900, Cause.UNKNOWN, HELD_BACK)]
+
+
 # --- stolen time --------------------------------------------------------------------------------------------
 
 
@@ -282,7 +356,7 @@ whats = st.one_of(
     st.frozensets(cpus).map(Sent),
     st.builds(Lost),
 )
-any_events = st.lists(st.builds(Event, st.integers(0, 100_000), cpus, tasks, whats), max_size=40).map(
+any_events = st.lists(st.builds(Event, st.integers(0, 100_000), cpus, tasks, whats, st.booleans()), max_size=40).map(
     lambda events: sorted(events, key=lambda event: event.time_ns)
 )
 
@@ -309,7 +383,8 @@ def test_an_interval_in_two_parts_has_the_same_causes(
 ) -> None:
     middle_ns, end_ns = start_ns + one_ns, start_ns + one_ns + two_ns
     whole = divide(events, 10, start_ns, end_ns)
-    parts = divide(events, 10, start_ns, middle_ns) + divide(events, 10, middle_ns, end_ns)
+    parts = divide(events, 10, start_ns, middle_ns)
+    parts += divide(events, 10, middle_ns, end_ns, slept_by_ns=start_ns)
     for segment in parts:
         assert any(
             whole_one.start_ns <= segment.start_ns

@@ -76,6 +76,8 @@ LINES = {
         "ipi", "Rescheduling interrupts", hard=True
     ),
     "          <idle>-0       [003] d.h1    10.000002: ipi_exit: (Rescheduling interrupts)": Exit("ipi"),
+    "            bash-1       [000] d..5.    10.000003: ipi_raise: target_mask=00000000,00000002 (Function call "
+    "interrupts)": Sent(frozenset([1])),
     "CPU:1 [LOST 1234 EVENTS]": Lost(),
 }
 NOTHING = (
@@ -85,6 +87,7 @@ NOTHING = (
     "          python-18064   [001] d.h..  2725.663359: vector_alloc: irq=1 vector=2",
     "          python-18064   [001] d....  2725.663359: sched_switch: prev_comm=python prev_pid=",
     "          python-18064   [001] d....  2725.6",
+    "          python-1       [000] d..5.  2725.160275: ipi_send_cpumask: cpumask=1,3-4 callsite=f+0x1/0x2",
     "          python-18064   [001] d....  2725.663359: something_of_tomorrow: what=1",
 )
 
@@ -100,7 +103,9 @@ def test_whom_a_line_is_about_and_when() -> None:
     assert next(iter(parse([line])))[:3] == (2_725_663_373_000, 1, Task("python", 18064))
     with_group = line.replace("-18064 ", "-18064 (  18000) ")  # as with the option record-tgid
     assert list(parse([with_group])) == list(parse([line]))
-    assert list(parse([line.replace(" d..2.", "")])) == list(parse([line]))  # without the option irq-info
+    (bare,) = parse([line])
+    assert bare.bare
+    assert list(parse([line.replace(" d..2.", "")])) == [bare._replace(bare=False)]  # without the option irq-info
     spaced = line.replace("  python-18064", "a b-c-18064")
     assert next(iter(parse([spaced]))).task == Task("a b-c", 18064)
 
@@ -110,9 +115,68 @@ def test_what_means_nothing_is_passed_over(line: str) -> None:
     assert list(parse([line])) == []
 
 
-def test_lost_events_are_of_the_moment_before_them() -> None:
-    line = next(iter(LINES))
-    assert list(parse([line, "CPU:0 [LOST 3 EVENTS]"]))[1] == Event(2_725_663_373_000, 0, Task("", -1), Lost())
+def test_lost_events_are_missing_behind_the_last_of_their_processor() -> None:
+    line, other = next(iter(LINES)), "          <idle>-0       [000] d.h..  2725.700000: local_timer_entry: vector=236"
+    lost = [
+        event for event in parse([line, other, "CPU:1 [LOST 3 EVENTS]", "CPU:2 [LOST EVENTS]"]) if event.what == Lost()
+    ]
+    assert lost == [Event(2_725_663_373_000, 1, Task("", -1), Lost()), Event(0, 2, Task("", -1), Lost())]
+
+
+@pytest.mark.parametrize(
+    ("flags", "bare"),
+    [
+        ("d..2", True),  # 5.15
+        ("d..2.", True),  # 5.16 and later
+        ("d..2.1.", True),  # PREEMPT_RT, with need-resched-lazy
+        ("d...2...", True),
+        ("d.h1", False),
+        ("dN.H3.1", False),
+        ("..s1.", False),
+        ("d.Z..", False),
+        ("bL...", True),  # 6.13
+    ],
+)
+def test_flags_of_all_kernels(flags: str, bare: bool) -> None:
+    (event,) = parse([next(iter(LINES)).replace("d..2.", flags)])
+    assert event.bare == bare
+
+
+@pytest.mark.parametrize(("flags", "hard"), [("d.h..", True), ("dNH2.", True), ("..s1.", False), (".....", False)])
+def test_a_timer_that_a_softirq_calls_is_no_interrupt(flags: str, hard: bool) -> None:
+    line = f"  ktimers/1-30   [001] {flags}  1.000000: hrtimer_expire_entry: hrtimer=1 function=f now=1"
+    (event,) = parse([line])
+    assert event.what == Enter("hrtimer", "f", hard=hard, timer=True)
+
+
+@pytest.mark.parametrize("state", ["S", "D", "R", "R+", "S|K", "D|W", "D|K|N", "T", "t", "I", "P", "X", "Z"])
+def test_states_of_all_kernels(state: str) -> None:
+    (event,) = parse([next(iter(LINES)).replace("prev_state=R+", f"prev_state={state}")])
+    assert event.what == Switch(Task("python", 18064, 130), state, Task("cyclictest", 18194, 19))
+    assert divide([event], 18064, event.time_ns, event.time_ns + 1000)  # whatever it is
+
+
+@pytest.mark.parametrize(
+    "name", ["irq/36-eth0-rx-1", "a [001] b", "x-1 (5) [2]", "  ", "a=b pid=3", "kworker/u8:2-ev", "\x85\u2028"]
+)
+def test_names_of_tasks(name: str) -> None:
+    line = (
+        f" {name}-7     [001] d..2.  1.000000: sched_switch: prev_comm={name} prev_pid=7 prev_prio=49 prev_state=S ==> "
+        f"next_comm={name} next_pid=8 next_prio=120"
+    )
+    (event,) = parse(f"{line}\n".split("\n"))
+    assert event.task.pid == 7
+    assert event.what == Switch(Task(name, 7, 49), "S", Task(name, 8, 120))
+
+
+def test_a_name_that_the_kernel_has_forgotten_is_taken_from_the_last_switch() -> None:
+    lines = [
+        "  <...>-7  [001] d..2.  1.000000: sched_switch: prev_comm=cat prev_pid=7 prev_prio=120 prev_state=S ==> "
+        "next_comm=hog next_pid=9 next_prio=4",
+        "  <...>-9  [001] d.h..  1.000050: local_timer_entry: vector=236",
+        "  <...>-11  [000] d.h..  1.000050: local_timer_entry: vector=236",
+    ]
+    assert [event.task.name for event in parse(lines)] == ["cat", "hog", "<...>"]
 
 
 @settings(max_examples=examples(300), deadline=None)

@@ -19,10 +19,11 @@ from typer.testing import Result
 from waiting import until
 from written_arm import WrittenArm
 
-from rtarm.why_late import tracefs
+from rtarm.why_late import hints, tracefs
 from rtarm.why_late.causes import MEANINGS, WORDS, Cause
 from rtarm.why_late.hints import Hints, counted
 from rtarm.why_late.tracefs import NotTraced, place, traced
+from rtarm.why_late.watch import cpu_of
 
 PLANTS, PAGES = 12, 4000
 LEAST = 6
@@ -124,10 +125,66 @@ def test_without_a_trace_hints_are_given(arm: WrittenArm, rtarm: Callable[..., R
 
 def test_a_place_that_may_not_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tracefs, "PLACES", (tmp_path / "nowhere", tmp_path))
+    monkeypatch.setattr(tracefs, "_pid_namespace", lambda: tracefs.FIRST_PID_NAMESPACE)
     (tmp_path / "instances").mkdir()
     assert place() == tmp_path
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(NotTraced, match="as root"):
+        place()
+
+
+@pytest.fixture
+def written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A folder like tracefs, which keeps what is written to it."""
+    monkeypatch.setattr(tracefs, "PLACES", (tmp_path,))
+    monkeypatch.setattr(tracefs, "_pid_namespace", lambda: tracefs.FIRST_PID_NAMESPACE)
+    folder = tmp_path / "instances" / f"rtarm-{os.getpid()}"
+    for event in ("sched/sched_switch", "sched/sched_waking", "timer/hrtimer_expire_entry", "signal/signal_generate"):
+        (folder / "events" / event).mkdir(parents=True)
+    for cpu in os.sched_getaffinity(0):
+        (folder / "per_cpu" / f"cpu{cpu}").mkdir(parents=True)
+    os.mkfifo(folder / "trace_pipe")
+    monkeypatch.setattr(tracefs, "_opened", lambda where: os.open(where / "trace_pipe", os.O_RDONLY | os.O_NONBLOCK))
+    return folder
+
+
+def test_a_pinned_thread_has_its_processor_traced_alone(written: Path) -> None:
+    allowed = os.sched_getaffinity(0)
+    events = written / "events"
+
+    def filters() -> list[str]:
+        return [(events / name / "filter").read_text() for name in ("sched/sched_switch", "sched/sched_waking")]
+
+    try:
+        os.sched_setaffinity(0, {min(allowed)})
+        with traced(os.getpid()) as trace:
+            assert filters() == [f"CPU == {min(allowed)}", f"pid == {os.getpid()}"]
+            own = os.getpid()
+            stops = (events / "signal/signal_generate/filter").read_text()
+            assert stops == f"sig >= 19 && sig <= 22 && (pid == {own} || pid == {own})"
+            assert trace.read() == ""  # an end, as of a ring that is turned off, is no reason to read on
+            if len(allowed) > 1:
+                os.sched_setaffinity(0, allowed)
+                trace.read()
+                assert filters()[0] == "0"
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
+def test_what_the_kernel_lacks_or_refuses_is_named(written: Path) -> None:
+    (written / "events/timer/hrtimer_expire_entry").rmdir()
+    with pytest.raises(NotTraced, match="no event timer/hrtimer_expire_entry"), traced(os.getpid()):
+        pass
+    (written / "trace_clock").unlink()
+    (written / "trace_clock").mkdir()
+    with pytest.raises(NotTraced, match=r"trace_clock refuses it \(Is a directory\)"), traced(os.getpid()):
+        pass
+
+
+@pytest.mark.usefixtures("written")
+def test_a_container_that_counts_processes_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracefs, "_pid_namespace", lambda: 1)
+    with pytest.raises(NotTraced, match="--pid=host"):
         place()
 
 
@@ -155,18 +212,28 @@ def test_an_arm_that_does_not_run(rtarm: Callable[..., Result]) -> None:
 
 def test_hints_are_what_rises_faster_while_cycles_are_late() -> None:
     own = os.getpid()
-    assert {"page faults", "ms that the host took (steal)"} <= set(counted(own))
-    assert any(what.startswith("interrupts ") for what in counted(own))
-    hints = Hints(own)
-    hints.look(late=False)
+    assert {"page faults", "ms that the host took (steal)"} <= set(counted(own, cpu_of(own)))
+    assert any(what.startswith("interrupts ") for what in counted(own, cpu_of(own)))
+    found = Hints(own)
+    found.look(late=False)
     with mmap.mmap(-1, PAGES * mmap.PAGESIZE) as fresh:
         fresh.madvise(mmap.MADV_NOHUGEPAGE)
         for page in range(PAGES):
             fresh[page * mmap.PAGESIZE] = 1  # the kernel has to fetch it now
-    hints.look(late=True)
-    hints.look(late=False)
-    told = {one["what"]: one for one in hints.told()}
+    found.look(late=True)
+    found.look(late=False)
+    told = {one["what"]: one for one in found.told()}
     assert told["page faults"]["a_look_with_late_cycles"] >= PAGES > told["page faults"]["a_look_without"]
+
+
+def test_hints_of_another_processor_are_no_rise(monkeypatch: pytest.MonkeyPatch) -> None:
+    processors = iter([0, 1, 1])
+    monkeypatch.setattr(hints, "cpu_of", lambda _: next(processors))
+    monkeypatch.setattr(hints, "of_processor", lambda cpu: {"interrupts": 1000.0 * cpu})
+    found = Hints(os.getpid())
+    found.look(late=True)
+    found.look(late=False)
+    assert "interrupts" not in {one["what"] for one in found.told()}
 
 
 def test_every_cause_has_its_words() -> None:

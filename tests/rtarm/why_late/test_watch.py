@@ -14,7 +14,7 @@ from written_arm import PERIOD_NS, WrittenArm
 from rtarm.why_late import watch
 from rtarm.why_late.causes import Cause
 from rtarm.why_late.divide import Segment
-from rtarm.why_late.report import causes_of, render, report_of, time_line
+from rtarm.why_late.report import causes_of, render, report_of
 from rtarm.why_late.watch import MOST_A_LOOK, ArmCycles, Cycle, Late, Watcher, cpu_of, cycle_thread
 
 MS = 1_000_000
@@ -72,7 +72,7 @@ def test_a_late_cycle_is_divided_with_what_was_traced_before_and_behind_it() -> 
     watcher = Watcher(source, 10, lambda: next(pieces), BOUND_NS)
     watcher.look()
     source.cycles = [Cycle(1, due_ns, due_ns + 2 * MS + 6000, due_ns + 2 * MS + 20_000)]
-    watcher.look()
+    watcher.look(settle_ns=0)
     (late,) = watcher.late
     assert (late.cycle, late.woke, late.length_ns) == (1, True, 2 * MS + 6000)
     assert late.by_cause == {Cause.TIMER_IDLE: 2 * MS, Cause.IDLE_EXIT: 5000, Cause.OWN: 1000}
@@ -105,6 +105,49 @@ def test_what_has_just_ended_waits_for_the_next_look() -> None:
     assert watcher.count == 1
 
 
+def test_a_cycle_waits_for_its_events_to_be_read() -> None:
+    """The reader may be behind; but it does not wait for ever."""
+    due_ns = ago(60) // 1000 * 1000
+    pieces = [
+        slept_and_ran(due_ns - 5 * MS, due_ns, due_ns + 5000),
+        slept_and_ran(due_ns + 3 * MS, due_ns + 6 * MS, due_ns + 7 * MS),
+    ]
+    unseen = [Cycle(number, ago(3000), ago(2900), None) for number in (1, 2)]
+    source = Cycles(*unseen, Cycle(3, due_ns, due_ns + MS, due_ns + MS + 1000))
+    watcher = Watcher(source, 10, lambda: pieces.pop(0), BOUND_NS)
+    watcher.look()
+    assert (watcher.cycles, watcher.count) == (2, 2)
+    watcher.look()
+    assert (watcher.cycles, watcher.count) == (3, 3)
+    assert watcher.late[-1].by_cause == {Cause.IDLE_EXIT: 5000, Cause.OWN: MS - 5000}
+
+
+def test_what_was_traced_is_kept_as_long_as_the_cycle_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that stands still for seconds is told from its begin, as far as there is room."""
+    begun_ns = ago(9000) // 1000 * 1000
+    pieces = [slept_and_ran(begun_ns + n * 100 * MS, begun_ns, begun_ns) for n in range(80)]
+    feed = iter(pieces)
+    watcher = Watcher(Cycles(Cycle(1, begun_ns, begun_ns, begun_ns)), 10, lambda: next(feed), BOUND_NS)
+    for _ in range(40):
+        watcher.look()
+    assert len(watcher._text) == 40
+    monkeypatch.setattr(watch, "MOST_TEXT", 10 * len(pieces[0]))
+    for _ in range(40):
+        watcher.look()
+    assert len(watcher._text) == 10
+
+
+def test_a_cycle_that_is_due_while_the_one_before_works_does_not_sleep_for_its_timer() -> None:
+    due_ns = ago(60) // 1000 * 1000
+    text = slept_and_ran(due_ns - 2 * MS, due_ns + 2 * MS, due_ns + 2 * MS)
+    early, overran = (Cycle(1, due_ns - 5 * MS, due_ns - 5 * MS, due_ns + end_ns) for end_ns in (-3 * MS, 2 * MS))
+    for before, cause in ((early, Cause.TIMER_IDLE), (overran, Cause.BLOCKED)):
+        cycles = before, Cycle(2, due_ns, due_ns + 2 * MS, None)
+        watcher = Watcher(Cycles(*cycles), 10, lambda: text, BOUND_NS)
+        watcher.look(settle_ns=0)
+        assert watcher.late[-1].by_cause == {cause: 2 * MS}
+
+
 def test_the_latest_of_too_many_are_divided_and_the_others_counted() -> None:
     begun_ns = ago(800)
     cycles = [
@@ -131,6 +174,19 @@ def test_what_the_host_took_around_a_late_cycle(monkeypatch: pytest.MonkeyPatch,
     source.cycles = [Cycle(1, due_ns, due_ns + 7 * MS, due_ns + 7 * MS)]
     watcher.look(settle_ns=0)
     assert watcher.late[0].by_cause == {cause: 7 * MS}
+
+
+def test_the_count_of_another_processor_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    processors = iter([0, 1])
+    monkeypatch.setattr(watch, "cpu_of", lambda _: next(processors))
+    monkeypatch.setattr(watch, "stolen_ns", lambda cpu: cpu * 10 * MS)
+    due_ns = time.monotonic_ns() // 1000 * 1000 + MS
+    source = Cycles(Cycle(1, due_ns, due_ns + 7 * MS, None))
+    watcher = Watcher(source, 10, lambda: slept_and_ran(due_ns - 2 * MS, due_ns + 7 * MS, due_ns + 7 * MS), BOUND_NS)
+    while time.monotonic_ns() < due_ns + 8 * MS:
+        pass
+    watcher.look(settle_ns=0)
+    assert watcher.late[0].by_cause == {Cause.TIMER_IDLE: 7 * MS}
 
 
 def test_the_cycles_of_an_arm(arm: WrittenArm) -> None:
@@ -169,7 +225,7 @@ def late(*parts: tuple[int, Cause, str], cycle: int = 1) -> Late:
     for length_ns, cause, who in parts:
         segments.append(Segment(at_ns, at_ns + length_ns, cause, who))
         at_ns += length_ns
-    return Late(cycle, True, tuple(segments))
+    return Late.of(cycle, True, segments)
 
 
 def test_causes_have_shares_names_and_a_worst_example() -> None:
@@ -190,11 +246,19 @@ def test_causes_have_shares_names_and_a_worst_example() -> None:
 
 
 def test_a_time_line_has_neighbours_of_one_cause_together_and_no_short_ones() -> None:
-    parts = late((50, Cause.INTERRUPT, "a"), (90, Cause.INTERRUPT, "b"), (1, Cause.OWN, ""), (60, Cause.TASK, "c"))
-    assert time_line(parts.segments) == [
+    one = late((50, Cause.INTERRUPT, "a"), (90, Cause.INTERRUPT, "b"), (1, Cause.OWN, ""), (60, Cause.TASK, "c"))
+    assert one.segments == (
         Segment(1000, 1140, Cause.INTERRUPT, "b"),
         Segment(1141, 1201, Cause.TASK, "c"),
-    ]
+    )
+    assert one.by_cause == {Cause.INTERRUPT: 140, Cause.OWN: 1, Cause.TASK: 60}
+
+
+def test_a_flood_of_interrupts_takes_little_room() -> None:
+    names = ("local_timer", "local_timer: timerfd_tmrproc")
+    one = late(*((1000, Cause.INTERRUPT, names[number % 2]) for number in range(8000)))
+    assert one.segments == (Segment(1000, 8_001_000, Cause.INTERRUPT, names[0]),)
+    assert one.by_name == {(Cause.INTERRUPT, name): 4_000_000 for name in names}
 
 
 def test_a_report_of_nothing_and_one_of_something() -> None:
