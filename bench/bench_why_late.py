@@ -1,9 +1,11 @@
 """`rtarm why-late`: are planted causes found, and what does watching cost the cycle?
 
-Causes are planted as tests/planted_trials.py says. RTARM_WHY_LATE_PLANTS says how often each is (60). The cost: slices
+Causes are planted as tests/planted_trials.py says. RTARM_WHY_LATE_PLANTS says how often each is (60); with
+RTARM_WHY_LATE_LOAD=1 the machine is kept busy meanwhile, as `rtarm bench` does. The cost: slices
 without and with a watcher, in turn, at 200 Hz and 1 kHz, as `slices` says; RTARM_WHY_LATE_PAIRS says how many (10).
 """
 
+import asyncio
 import os
 import subprocess
 import sys
@@ -13,9 +15,11 @@ import pytest
 from planted_trials import EXPECTED, impossible, mock_arm, planted_in_arm, planted_in_loop
 from slices import SLICE_S, compare, slice_of
 
+from rtarm.bench import load
 from rtarm.why_late.causes import Cause
 
 PLANTS = int(os.environ.get("RTARM_WHY_LATE_PLANTS", "60"))
+LOADED = os.environ.get("RTARM_WHY_LATE_LOAD", "0") == "1"
 PAIRS = int(os.environ.get("RTARM_WHY_LATE_PAIRS", "10"))
 BOUND_US = 100
 WARM_S = 2.0
@@ -25,15 +29,26 @@ pytestmark = pytest.mark.skipif(bool(impossible()), reason=impossible())
 
 @pytest.mark.timeout(900)
 def test_planted_causes(report, tmp_path):
-    with mock_arm(tmp_path) as stack:
-        trials = [planted_in_arm(stack, cause, PLANTS) for cause in EXPECTED if cause != "pages"]
-    trials.append(planted_in_loop(PLANTS))
+    trials = asyncio.run(planted_trials(tmp_path))
+    report(f"planted {PLANTS} times each", load.described() if LOADED else "an idle machine")
     columns = [cause for cause in Cause if any(cause in trial.found() for trial in trials)]
     for trial in trials:
         found = ", ".join(f"{cause.value} {trial.found()[cause]}" for cause in columns if trial.found()[cause])
         report(f"{trial.cause}: {len(trial.planted)} late, {trial.right} right, {trial.unknown} unknown", found)
         others = ", ".join(f"{late.cause.value} {late.length_ns / 1000:.0f} µs" for late in trial.others[:8])
         report(f"  late beside it, not planted: {len(trial.others)}", others)
+
+
+async def planted_trials(folder):
+    """Every cause in turn; the load is there before the cycle has a processor, so that it uses all of them."""
+    async with load.loaded(folder, wanted=LOADED):
+        return await asyncio.to_thread(all_planted, folder)
+
+
+def all_planted(folder):
+    with mock_arm(folder) as stack:
+        trials = [planted_in_arm(stack, cause, PLANTS) for cause in EXPECTED if cause != "pages"]
+        return [*trials, planted_in_loop(PLANTS)]
 
 
 @pytest.mark.benchmark(group="live")
