@@ -23,7 +23,7 @@ from planted import PAGES_PERIOD_NS
 from stack import Stack
 
 from rtarm.why_late.causes import Cause
-from rtarm.why_late.report import mostly
+from rtarm.why_late.report import causes_of
 from rtarm.why_late.run import looker
 from rtarm.why_late.tracefs import NotTraced, place, traced
 from rtarm.why_late.watch import LOOK_S, ArmCycles, Cycle, Late, Watcher, cycle_thread
@@ -144,7 +144,8 @@ class Trial(NamedTuple):
 
     def _is_right(self, late: Late) -> bool:
         named = {"hog": f" {self.pid} (", "flood": "timerfd", "stop": f"SIGSTOP from python {self.pid}", "pages": ""}
-        who = [name for name, _ in mostly([late], late.cause)] or [""]
+        chief = next(one for one in causes_of([late]) if one["cause"] == late.cause.value)
+        who = [one["who"] for one in chief["mostly"]] or [""]
         return late.cause is self.expected and any(named[self.cause] in name for name in who)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rtarm.cli.frame import AsJson, NamedArm, RunningArm, draw, draw_json, sentences
+from rtarm.cli.frame import AsJson, LanguageOption, NamedArm, RunningArm, draw, draw_json, sentences
 
 why_late_app = typer.Typer()
 """The command, for `application` to add."""
@@ -25,6 +25,7 @@ def why_late(
     plot_file: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Draw the causes (.png, .svg or .pdf).")
     ] = None,
+    language: LanguageOption = "en",
 ) -> None:
     """Watch a running arm, and tell why its cycles woke up late or took long.
 
@@ -33,12 +34,14 @@ def why_late(
 
     Example: [bold]rtarm why-late episode1 --seconds 60 --bound-us 200[/bold]
     """
-    with sentences({} if as_json else None):
+    with sentences({} if as_json else None, language):
+        from rtarm.console.language import language_of
         from rtarm.why_late.report import render
         from rtarm.why_late.run import why_late as run
 
-        report = run(arm, seconds, bound_us, plot_file)
+        spoken = "en" if as_json else language_of(language)
+        report = run(arm, seconds, bound_us, plot_file, spoken)
         if as_json:
             draw_json(report)
         else:
-            draw(render(report))
+            draw(render(report, spoken))

@@ -54,6 +54,58 @@ BUS_TROUBLES = {
 """Behind their number."""
 TIMINGS = {"lateness": "唤醒延迟", "cycle": "周期用时"}
 
+CAUSES = {
+    "timer_late_out_of_idle": "空闲中定时器晚触发",
+    "interrupts_off": "中断被关闭，或机器停住",
+    "machine_stood_still": "宿主机拿走了处理器",
+    "interrupt": "中断",
+    "softirq": "软中断",
+    "other_task": "另一个任务",
+    "out_of_idle": "已唤醒，正从空闲中出来",
+    "migration": "移到了另一个处理器",
+    "page_fault": "缺页",
+    "stopped": "被停住",
+    "blocked": "在内核里等待",
+    "own_work": "我们自己的工作",
+    "unknown": "未知",
+}
+"""Why a cycle was late."""
+CAUSE_MEANINGS = {
+    "timer_late_out_of_idle": "周期应当开始时处理器空闲，定时器中断来晚了。",
+    "interrupts_off": "周期应当开始时处理器正在运行所写的任务，没有接受定时器中断。",
+    "machine_stood_still": "处理器上什么也没发生，而宿主机统计到它拿走了时间。",
+    "interrupt": "周期的处理器上运行着某个中断的处理程序。",
+    "softirq": "周期的处理器上运行着某个中断留下的工作。",
+    "other_task": "周期已经可以运行，而所写的任务占着它的处理器。",
+    "out_of_idle": "周期已经可以运行，而它的处理器还在从空闲中出来。",
+    "migration": "同上，但在与之前不同的处理器上。",
+    "page_fault": "周期碰到了内核必须先取来的内存页。",
+    "stopped": "信号或调试器停住了进程。",
+    "blocked": "周期在系统调用里等待定时器以外的东西。",
+    "own_work": "周期自己在运行：它的计算，或者从睡眠中出来的过程。",
+    "unknown": "看到的东西说明不了。",
+}
+WHY_LATE = {
+    "same as ours, and came first": "与我们相同，而且先来",
+    "the kernel's stopper, before all others": "内核的停机任务，先于所有任务",
+    "behind us, but could not be interrupted at once": "低于我们，但不能立刻被打断",
+    "we have no real-time priority": "我们没有实时优先级",
+    "before us": "先于我们",
+    "a slow page fault, or our own work after it": "较慢的缺页，或者其后我们自己的工作",
+    "ready beside an idle processor: a limit of its time, such as cpu.max of its control group": (
+        "处理器空闲却不能运行：时间受限，例如控制组的 cpu.max"
+    ),
+    "a debugger": "调试器",
+    "real-time ": "实时 ",
+    "ms ready and waiting for the processor": "就绪并等待处理器的毫秒数",
+    "times another task took the processor": "别的任务抢走处理器的次数",
+    "page faults from the disk": "从磁盘取页的缺页",
+    "page faults": "缺页",
+    "ms that the host took (steal)": "宿主机拿走的毫秒数（steal）",
+    "interrupts ": "中断 ",
+}
+"""What is said of tasks and counters amid their names, in this order."""
+
 SENTENCES = {
     # --- words and figures
     ", ": "，",
@@ -261,4 +313,27 @@ SENTENCES = {
     "Then {how} and came to rest {took:.2f} s after the fault; {joints} measured as moving at the end.": "然后{how}，在故障之后 {took:.2f} s 静止；结束时实测 {joints} 仍在运动。",
     "Position of {joint} (rad): · commanded, ● measured": "{joint} 的位置（rad）：· 指令，● 实测",
     "Its error (rad; {allowed:.4f} are allowed)": "它的误差（rad；允许 {allowed:.4f}）",
+    # --- why cycles were late
+    "{arm}: {cycles} cycles in {seconds:.0f} s, none later than {bound:g} µs.": "{arm}：{seconds:.0f} s 内 {cycles} 个周期，没有一个晚于 {bound:g} µs。",
+    "{arm}: {cycles} cycles in {seconds:.0f} s, {late} later than {bound:g} µs, {together} µs together": "{arm}：{seconds:.0f} s 内 {cycles} 个周期，{late} 个晚于 {bound:g} µs，共 {together} µs",
+    "cause": "原因",
+    "share": "占比",
+    "chiefly": "为主",
+    "mostly": "主要是",
+    "{cause}: {meaning}": "{cause}：{meaning}",
+    "  the worst: cycle {cycle} woke up late, {length} µs": "  最严重的：周期 {cycle} 晚醒 {length} µs",
+    "  the worst: cycle {cycle} took long, {length} µs": "  最严重的：周期 {cycle} 用了 {length} µs",
+    "{undivided} late cycles were too many, and were not looked into.": "另有 {undivided} 个延迟的周期太多，没有查看。",
+    "Counters that rose faster while cycles were late (hints, no causes), and otherwise, in 50 ms:": "周期延迟时增加得更快的计数器（线索，不是原因），每 50 ms，延迟时和其他时候：",
+    "  {late} and {other}  {what}": "  {late} 和 {other}  {what}",
+    "{reason} Without them no causes are known.": "{reason}没有它们就不知道原因。",
+    "The control process has ended meanwhile.": "控制进程已经结束。",
+    "The control process of {arm} (pid {pid}) cannot be looked at ({why}): run this as the same user, on the same machine and in the same container.": "无法查看 {arm} 的控制进程（pid {pid}，{why}）：请用同一个用户，在同一台机器、同一个容器里运行。",
+    "`{name}` is {value:g}, allowed are {least:g} to {most:g} {unit}: give another one.": "`{name}` 是 {value:g}，允许 {least:g} 到 {most:g} {unit}：请换一个。",
+    "Trace events cannot be read here, since tracefs is not mounted or may not be looked at: as root, `mount -t tracefs nodev {place}`, then try again as root.": "这里无法读取跟踪事件：内核的跟踪文件系统没有挂载，或者不允许查看。以管理员身份运行 `mount -t tracefs nodev {place}`，然后以管理员身份再试。",
+    "Trace events are of no use within this container, since they count processes otherwise: try again outside of it, or in one with the host's processes (`--pid=host`).": "这个容器里的跟踪事件没有用，因为它们的进程编号不同：请在容器外再试，或者用带有宿主机进程的容器（`--pid=host`）。",
+    "Trace events cannot be read here without permission: try again as root, with `sudo`.": "没有权限，这里无法读取跟踪事件：请用 `sudo` 再试。",
+    "This process reads trace events already: let that end first.": "这个进程已经在读取跟踪事件：请先让它结束。",
+    "Trace events cannot be read here: this kernel has no event {event}.": "这里无法读取跟踪事件：这个内核没有事件 {event}。",
+    "Trace events cannot be read here, since {path} refuses it ({why}): try again as root, outside of containers.": "这里无法读取跟踪事件：{path} 拒绝（{why}）。请以管理员身份在容器外再试。",
 }

@@ -45,6 +45,11 @@ SENT = ("call_function", "call_function_single", "reschedule", "irq_work", "ipi"
 """Interrupts that processors send each other."""
 SENT_NS = 1_000_000
 """An interrupt that comes later is not that which was sent: a processor that is on its way anyway takes none."""
+DEBUGGER = "a debugger"
+SLOW_FAULT = "a slow page fault, or our own work after it"
+STOPPER = "the kernel's stopper, before all others"
+BEFORE_US, NO_PRIORITY, SAME = "before us", "we have no real-time priority", "same as ours, and came first"
+BEHIND_US = "behind us, but could not be interrupted at once"
 HELD_BACK = "ready beside an idle processor: a limit of its time, such as cpu.max of its control group"
 _OF_A_TASK = Woken | Moved | Signal | Sent
 """Events of processors of which nothing else may be traced, so that what they are in is not followed."""
@@ -282,7 +287,7 @@ def _leave(thread: _Thread, state: str, woken: int | None) -> None:
             thread.state = _Is.READY
         case "T" | "t":
             thread.state = _Is.STOPPED
-            thread.stopped_by = thread.stopped_by if state[0] == "T" else "a debugger"
+            thread.stopped_by = thread.stopped_by if state[0] == "T" else DEBUGGER
         case _ if woken is None:
             thread.state = _Is.UNKNOWN
         case _ if woken == NO_TIMER:
@@ -301,7 +306,7 @@ def _constant(processors: dict[int, _Processor], thread: _Thread, start_ns: int,
     border_ns = min(max(thread.fault_ns + FAULT_NS, start_ns), end_ns)
     parts = (
         Segment(start_ns, border_ns, cause, who),
-        Segment(border_ns, end_ns, Cause.UNKNOWN, "a slow page fault, or our own work after it"),
+        Segment(border_ns, end_ns, Cause.UNKNOWN, SLOW_FAULT),
     )
     return [part for part in parts if part.length_ns]
 
@@ -347,17 +352,17 @@ def _described(task: Task, work: str, own_prio: int | None) -> str:
     """A task that runs while we wait, and why it may."""
     named = _named(task) + (f", {work}" if work else "")
     if task.name.startswith("migration/"):
-        return f"{named}: the kernel's stopper, before all others"
+        return f"{named}: {STOPPER}"
     if task.prio is None or own_prio is None:
         return named
     if task.prio < own_prio:
-        why = "before us"
+        why = BEFORE_US
     elif own_prio >= NORMAL_PRIO:
-        why = "we have no real-time priority"
+        why = NO_PRIORITY
     elif task.prio == own_prio:
-        why = "same as ours, and came first"
+        why = SAME
     else:
-        why = "behind us, but could not be interrupted at once"
+        why = BEHIND_US
     return f"{named} ({_priority(task.prio)}: {why})"
 
 

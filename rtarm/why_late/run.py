@@ -13,6 +13,7 @@ from typing import Any
 
 from rtarm.console.errors import Refusal
 from rtarm.console.interrupt import signals_noted
+from rtarm.console.language import said
 from rtarm.console.niceness import done_by, nice_thread
 from rtarm.running.status import open_running, resolve_arm
 from rtarm.why_late import plot
@@ -20,6 +21,7 @@ from rtarm.why_late.hints import Hints
 from rtarm.why_late.report import report_of
 from rtarm.why_late.tracefs import NotTraced, traced
 from rtarm.why_late.watch import LOOK_S, ArmCycles, Traced, Watcher, cpu_of, cycle_thread
+from sentences.meaning import Language
 from shm import files
 from shm.files import MemoryFile
 
@@ -28,8 +30,10 @@ READING_NICE = -10
 LEAST_US, MOST_US = 10.0, 1_000_000.0
 
 
-def why_late(arm: str | None, seconds: float, bound_us: float, plot_file: Path | None) -> dict[str, Any]:
-    """Watch for so many seconds, or until a signal; what was found.
+def why_late(
+    arm: str | None, seconds: float, bound_us: float, plot_file: Path | None, language: Language = "en"
+) -> dict[str, Any]:
+    """Watch for so many seconds, or until a signal; what was found, with notes in a language.
 
     Raises:
         Refusal, SharedMemoryError: there is no such arm, or what was asked for makes no sense.
@@ -39,12 +43,18 @@ def why_late(arm: str | None, seconds: float, bound_us: float, plot_file: Path |
         ("--bound-us", bound_us, "µs", LEAST_US, MOST_US),
     ):
         if not least <= value <= most:
-            raise Refusal(f"{name} is {value:g}, allowed are {least:g} to {most:g} {unit}: give another one.")
+            raise Refusal(
+                said(
+                    language,
+                    "`{name}` is {value:g}, allowed are {least:g} to {most:g} {unit}: give another one.",
+                    **{"name": name, "value": value, "least": least, "most": most, "unit": unit},
+                )
+            )
     if plot_file is not None:
         plot.check(plot_file)
-    memory = open_running(resolve_arm(arm))
+    memory = open_running(resolve_arm(arm, language))
     try:
-        report = _watched(memory, seconds, bound_us)
+        report = _watched(memory, seconds, bound_us, language)
     finally:
         memory.close()
     if plot_file is not None:
@@ -52,15 +62,19 @@ def why_late(arm: str | None, seconds: float, bound_us: float, plot_file: Path |
     return report
 
 
-def _watched(memory: MemoryFile, seconds: float, bound_us: float) -> dict[str, Any]:
+def _watched(memory: MemoryFile, seconds: float, bound_us: float, language: Language) -> dict[str, Any]:
     name, pid = files.arm_name(memory.record["header"]), int(memory.record["header"]["pid"])
     notes: list[str] = []
     try:
         tid = cycle_thread(pid)
     except OSError as error:
         raise Refusal(
-            f"The control process of {name} (pid {pid}) cannot be looked at ({error.strerror}): run this as the same "
-            "user, on the same machine and in the same container."
+            said(
+                language,
+                "The control process of {arm} (pid {pid}) cannot be looked at ({why}): run this as the same user, on "
+                "the same machine and in the same container.",
+                **{"arm": name, "pid": pid, "why": error.strerror},
+            )
         ) from None
     with signals_noted() as wait, looker(tid) as thread, contextlib.ExitStack() as stack:
         hints: Hints | None = None
@@ -68,7 +82,8 @@ def _watched(memory: MemoryFile, seconds: float, bound_us: float) -> dict[str, A
         try:
             trace = stack.enter_context(traced(tid)).read
         except NotTraced as reason:
-            notes.append(f"{reason.sentence} Without them no causes are known.")
+            told = reason.told(language)
+            notes.append(said(language, "{reason} Without them no causes are known.", reason=told))
             hints = Hints(tid)
         watcher = Watcher(ArmCycles(memory), tid, trace, round(bound_us * 1000))
         began_s, ended = time.monotonic(), False
@@ -80,7 +95,7 @@ def _watched(memory: MemoryFile, seconds: float, bound_us: float) -> dict[str, A
             if hints is not None:
                 hints.look(late=watcher.count > late)
             if not ended and not files.is_held(memory.fd):
-                notes.append("The control process has ended meanwhile.")
+                notes.append(said(language, "The control process has ended meanwhile."))
                 ended = True
         report = report_of(name, time.monotonic() - began_s, bound_us, watcher, notes)
         return {**report, "traced": hints is None, "hints": [] if hints is None else hints.told()}

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rtarm.console.errors import Refusal
+from rtarm.console.language import said
+from sentences.meaning import Language
 
 PLACES = (Path("/sys/kernel/tracing"), Path("/sys/kernel/debug/tracing"))
 NAME = "rtarm-"
@@ -64,8 +66,31 @@ EVENTS: dict[str, Wanted] = {
 NEEDED = ("sched/sched_switch", "sched/sched_waking", "timer/hrtimer_expire_entry")
 
 
+NOT_MOUNTED = (
+    "Trace events cannot be read here, since tracefs is not mounted or may not be looked at: as root, "
+    "`mount -t tracefs nodev {place}`, then try again as root."
+)
+CONTAINED = (
+    "Trace events are of no use within this container, since they count processes otherwise: try again outside of it, "
+    "or in one with the host's processes (`--pid=host`)."
+)
+FORBIDDEN = "Trace events cannot be read here without permission: try again as root, with `sudo`."
+TWICE = "This process reads trace events already: let that end first."
+NO_EVENT = "Trace events cannot be read here: this kernel has no event {event}."
+REFUSED = "Trace events cannot be read here, since {path} refuses it ({why}): try again as root, outside of containers."
+REASONS = (NOT_MOUNTED, CONTAINED, FORBIDDEN, TWICE, NO_EVENT, REFUSED)
+
+
 class NotTraced(Refusal):
-    """Trace events cannot be read here; the sentence says why and what to do."""
+    """Trace events cannot be read here; the sentence, one of `REASONS`, says why and what to do."""
+
+    def __init__(self, template: str, **values: object) -> None:
+        super().__init__(template.format(**values))
+        self._template, self._values = template, values
+
+    def told(self, language: Language) -> str:
+        """The sentence in a language."""
+        return said(language, self._template, **self._values)
 
 
 def place() -> Path:
@@ -75,19 +100,13 @@ def place() -> Path:
         NotTraced: nowhere, or it may not be used.
     """
     if not any(_is_there(path) for path in PLACES):
-        raise NotTraced(
-            "Trace events cannot be read here, since tracefs is not mounted or may not be looked at: as root, "
-            f"`mount -t tracefs nodev {PLACES[0]}`, then try again as root."
-        )
+        raise NotTraced(NOT_MOUNTED, place=PLACES[0])
     if _pid_namespace() != FIRST_PID_NAMESPACE:
-        raise NotTraced(
-            "Trace events are of no use within this container, since they count processes otherwise: try again "
-            "outside of it, or in one with the host's processes (`--pid=host`)."
-        )
+        raise NotTraced(CONTAINED)
     for path in PLACES:
         if os.access(path / "instances", os.W_OK):
             return path
-    raise NotTraced("Trace events cannot be read here without permission: try again as root, with `sudo`.")
+    raise NotTraced(FORBIDDEN)
 
 
 def _pid_namespace() -> int:
@@ -167,7 +186,7 @@ def _opened(folder: Path) -> int:
             folder.mkdir()
             return os.open(folder / "trace_pipe", os.O_RDONLY | os.O_NONBLOCK)
         except FileExistsError:
-            raise NotTraced("This process reads trace events already: let that end first.") from None
+            raise NotTraced(TWICE) from None
         except OSError as error:  # between the two, another one that starts may have removed it
             if attempt == ATTEMPTS - 1:
                 raise _refused(folder, error) from None
@@ -188,7 +207,7 @@ def _set_up(folder: Path, tid: int, ring_kb: int) -> None:
             _write(ring, str(max(OTHER_RING_KB, min(ring_kb, ALL_RINGS_KB // len(cpus)))))
     for pattern in NEEDED:
         if not _found(folder, pattern):
-            raise NotTraced(f"Trace events cannot be read here: this kernel has no event {pattern}.")
+            raise NotTraced(NO_EVENT, event=pattern)
     _filter(folder, tid, cpus)
     for pattern in EVENTS:
         for event in _found(folder, pattern):
@@ -228,10 +247,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _refused(path: Path, error: OSError) -> NotTraced:
-    return NotTraced(
-        f"Trace events cannot be read here, since {path} refuses it ({error.strerror}): try again as root, "
-        "outside of containers."
-    )
+    return NotTraced(REFUSED, path=path, why=error.strerror)
 
 
 def _remove(folder: Path) -> None:

@@ -37,6 +37,8 @@ from rtarm.top.picture import Picture
 from rtarm.top.watch import Watch
 from rtarm.view.panels import events_html, joints_html, machine_html, problems_html, state_html
 from rtarm.view.words import CHINESE
+from rtarm.why_late.causes import Cause
+from rtarm.why_late.tracefs import REASONS
 from sentences.told import outcome_sentence
 from shm import layout
 from shm.errors import NotRunning, WrongArm
@@ -46,7 +48,7 @@ from shm.words import BusState, DriveStatus, Fault, Mode, Outcome, Phase, Reques
 
 ROOT = Path(rtarm.__file__).parent
 FROM_TABLES = {*COUNTED.values(), *STATUS.values(), *(sentence for sentence, _ in SLOWED.values()), STOPPED_BY_A_PERSON}
-FROM_TABLES |= set(TOO_EARLY_TO_CLEAR.values())
+FROM_TABLES |= {*TOO_EARLY_TO_CLEAR.values(), *REASONS}
 FROM_MEMORY = {
     "The control process of arm '{arm}' has died",
     "The control process of arm '{arm}' has ended in order",
@@ -125,8 +127,10 @@ def test_a_sentence_says_the_same_in_chinese(english: str, other: str) -> None:
         (chinese.REQUESTS, {key(Request, request) for request in Request}),
         (chinese.BUS_STATES, {key(BusState, state) for state in BusState}),
         (chinese.BUS_TROUBLES, set(BUS_TROUBLE)),
+        (chinese.CAUSES, {cause.value for cause in Cause}),
+        (chinese.CAUSE_MEANINGS, {cause.value for cause in Cause}),
     ],
-    ids=["modes", "phases", "grips", "requests", "bus states", "bus troubles"],
+    ids=["modes", "phases", "grips", "requests", "bus states", "bus troubles", "causes", "their meanings"],
 )
 def test_what_json_has_by_a_key_has_a_word(table: dict[str, str], keys: set[str]) -> None:
     assert set(table) == keys
@@ -175,7 +179,7 @@ def test_json_is_english(rtarm: Callable[..., Result]) -> None:
 
 
 def test_an_unknown_language_is_refused(rtarm: Callable[..., Result]) -> None:
-    for words in (("status",), ("top",), ("explain",), ("replay",), ("view",)):
+    for words in (("status",), ("top",), ("explain",), ("replay",), ("view",), ("why-late",)):
         result = rtarm(*words, "--language", "fr")
         assert result.exit_code == 1
         assert result.stderr == "--language is 'fr', but rtarm speaks en and zh only: choose one.\n"

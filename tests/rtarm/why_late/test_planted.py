@@ -123,6 +123,13 @@ def test_without_a_trace_hints_are_given(arm: WrittenArm, rtarm: Callable[..., R
     assert "none later than 100 µs" in rtarm("why-late", arm.name, "--seconds", "0.5").output
 
 
+@pytest.mark.usefixtures("nowhere")
+def test_notes_are_in_the_language_asked_for(arm: WrittenArm, rtarm: Callable[..., Result]) -> None:
+    told = rtarm("why-late", arm.name, "--seconds", "0.5", "--language", "zh").output
+    assert "没有一个晚于 100 µs" in told and "没有它们就不知道原因" in told
+    assert "Without them" in rtarm("why-late", arm.name, "--seconds", "0.5", "--json", "--language", "zh").output
+
+
 def test_a_place_that_may_not_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tracefs, "PLACES", (tmp_path / "nowhere", tmp_path))
     monkeypatch.setattr(tracefs, "_pid_namespace", lambda: tracefs.FIRST_PID_NAMESPACE)
@@ -191,9 +198,9 @@ def test_a_container_that_counts_processes_otherwise(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--seconds", "0.1"), "--seconds is 0.1, allowed are 0.5 to 86400 s"),
-        (("--seconds", "nan"), "--seconds is nan"),
-        (("--bound-us", "1"), "--bound-us is 1, allowed are 10 to 1e+06 µs"),
+        (("--seconds", "0.1"), "`--seconds` is 0.1, allowed are 0.5 to 86400 s"),
+        (("--seconds", "nan"), "`--seconds` is nan"),
+        (("--bound-us", "1"), "`--bound-us` is 1, allowed are 10 to 1e+06 µs"),
         (("--plot", "x.txt"), "x.txt is no name of a picture"),
         (("--plot", "nowhere/x.svg"), "name a file in a folder that exists"),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import time
 
 import numpy as np
@@ -11,10 +12,22 @@ import pytest
 from rich.console import Console
 from written_arm import PERIOD_NS, WrittenArm
 
+from rtarm.console.chinese import WHY_LATE
 from rtarm.why_late import watch
 from rtarm.why_late.causes import Cause
-from rtarm.why_late.divide import Segment
-from rtarm.why_late.report import causes_of, render, report_of
+from rtarm.why_late.divide import (
+    BEFORE_US,
+    BEHIND_US,
+    DEBUGGER,
+    HELD_BACK,
+    NO_PRIORITY,
+    SAME,
+    SLOW_FAULT,
+    STOPPER,
+    Segment,
+)
+from rtarm.why_late.hints import counted
+from rtarm.why_late.report import NAMES, Tally, causes_of, names_told, render, report_of
 from rtarm.why_late.watch import MOST_A_LOOK, ArmCycles, Cycle, Late, Watcher, cpu_of, cycle_thread
 
 MS = 1_000_000
@@ -259,6 +272,43 @@ def test_a_flood_of_interrupts_takes_little_room() -> None:
     one = late(*((1000, Cause.INTERRUPT, names[number % 2]) for number in range(8000)))
     assert one.segments == (Segment(1000, 8_001_000, Cause.INTERRUPT, names[0]),)
     assert one.by_name == {(Cause.INTERRUPT, name): 4_000_000 for name in names}
+
+
+PHRASES = (STOPPER, BEFORE_US, NO_PRIORITY, SAME, BEHIND_US, HELD_BACK, DEBUGGER, SLOW_FAULT)
+
+
+@pytest.mark.parametrize("phrase", PHRASES)
+def test_what_is_said_of_a_task_has_its_chinese(phrase: str) -> None:
+    told = names_told(f"hog 2 (real-time 95: {phrase})", "zh")
+    assert told == f"hog 2 (实时 95: {WHY_LATE[phrase]})"
+
+
+def test_what_is_counted_has_its_chinese() -> None:
+    for what in counted(os.getpid(), cpu_of(os.getpid())):
+        assert names_told(what, "zh") != what
+
+
+def test_a_report_in_chinese() -> None:
+    console = Console(width=100, file=io.StringIO())
+    watcher = Watcher(Cycles(), 10, str, BOUND_NS)
+    watcher.late.append(late((600, Cause.TASK, "hog [2] (nice 0: before us)"), (400, Cause.INTERRUPT, "disk")))
+    hint = {"what": "page faults", "a_look_with_late_cycles": 2.5, "a_look_without": 0.0}
+    console.print(render({**report_of("a", 5.0, 100.0, watcher, []), "undivided": 3, "hints": [hint]}, "zh"))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    for part in ("a：5 s 内", "原因", "另一个任务", "hog [2] (nice 0: 先于我们)", "周期 1 晚醒", "3 个延迟", "0  缺页"):
+        assert part in text
+    words = set(re.findall(r"[a-z]{4,}", text))
+    assert words <= {"nice", "disk"}
+
+
+def test_names_of_days_take_little_room() -> None:
+    tally = Tally()
+    for number in range(5 * NAMES):
+        tally.add(late((600 if number == 7 else 1, Cause.TASK, f"cat {number}"), cycle=number))
+    (task,) = tally.causes()
+    assert (task["cycles"], task["us"]) == (5 * NAMES, (5 * NAMES + 599) / 1000)
+    assert (task["mostly"][0]["who"], task["worst"]["cycle"]) == ("cat 7", 7)
+    assert len(tally._names[Cause.TASK]) <= 2 * NAMES
 
 
 def test_a_report_of_nothing_and_one_of_something() -> None:
