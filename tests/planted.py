@@ -8,12 +8,14 @@ whether pages were planted in it.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import ctypes
 import mmap
 import os
 import random
 import resource
 import signal
+import socket
 import struct
 import time
 from collections.abc import Callable
@@ -26,6 +28,9 @@ HOG_NS = 3 * MS
 HOG_PRIORITY, PAGES_PRIORITY = 95, 80
 TIMERS = 4000
 """That expire in one interrupt."""
+GROUP, LOOPBACK, PORT = "239.255.41.7", "127.0.0.1", 41_707
+RECEIVERS = 4000
+"""That one packet is delivered to."""
 STOP_S = 0.02
 PAGES = 2000
 PAGES_PERIOD_NS = 10 * MS
@@ -67,8 +72,7 @@ def hog(due_ns: int, period_ns: int, count: int) -> None:
 
 def flood(due_ns: int, period_ns: int, count: int) -> None:
     """Thousands of timers expire together, shortly before a cycle is due; seen as a gap in our own time."""
-    most = TIMERS + 100
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, max(most, resource.getrlimit(resource.RLIMIT_NOFILE)[1])))
+    may_open(TIMERS)
     timers = [_libc.timerfd_create(time.CLOCK_MONOTONIC, os.O_NONBLOCK) for _ in range(TIMERS)]
     assert min(timers) >= 0, "no more timers are to be had"
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))  # ordinary tasks would make gaps of their own
@@ -82,6 +86,12 @@ def flood(due_ns: int, period_ns: int, count: int) -> None:
         told(*longest_gap(at_ns + 4 * MS))
 
 
+def may_open(files: int) -> None:
+    """As many, and a few."""
+    most = files + 100
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, max(most, resource.getrlimit(resource.RLIMIT_NOFILE)[1])))
+
+
 def longest_gap(until_ns: int) -> tuple[int, int]:
     """When, until then, the clock could not be read for longest."""
     last_ns, found = time.monotonic_ns(), (0, 0)
@@ -90,6 +100,34 @@ def longest_gap(until_ns: int) -> tuple[int, int]:
         if now_ns - last_ns > found[1] - found[0]:
             found = last_ns, now_ns
         last_ns = now_ns
+    return found
+
+
+def packets(due_ns: int, period_ns: int, count: int) -> None:
+    """A packet goes to thousands of sockets at once, in a softirq of its sender, shortly before a cycle is due."""
+    may_open(RECEIVERS)
+    with contextlib.ExitStack() as stack:
+        for _ in range(RECEIVERS):
+            stack.enter_context(receiver())
+        sender = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(LOOPBACK))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        for _ in range(count):
+            gap()
+            at_ns = next_due(due_ns, period_ns, 2 * MS) - random.randrange(50_000, 300_000)
+            time.sleep(max(at_ns - MS - time.monotonic_ns(), 0) / NS)
+            spin_until(at_ns)
+            start_ns = time.monotonic_ns()
+            sender.sendto(b"rtarm", (GROUP, PORT))
+            told(start_ns, time.monotonic_ns())
+
+
+def receiver() -> socket.socket:
+    """A socket that gets what is sent to the group."""
+    found = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    found.bind((GROUP, PORT))
+    found.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(GROUP) + socket.inet_aton(LOOPBACK))
     return found
 
 
@@ -125,7 +163,7 @@ def pages(count: int) -> None:
     time.sleep(1.0)
 
 
-PLANTS: dict[str, Callable[..., None]] = {"hog": hog, "flood": flood, "stop": stop, "pages": pages}
+PLANTS: dict[str, Callable[..., None]] = {"hog": hog, "flood": flood, "packets": packets, "stop": stop, "pages": pages}
 
 
 def main() -> None:

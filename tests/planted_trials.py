@@ -36,6 +36,7 @@ BOUND_NS = 250_000
 EXPECTED = {
     "hog": Cause.TASK,
     "flood": Cause.INTERRUPT,
+    "packets": Cause.SOFTIRQ,
     "stop": Cause.STOPPED,
     "pages": Cause.PAGE_FAULT,
 }
@@ -143,7 +144,13 @@ class Trial(NamedTuple):
         return Counter(late.cause for late in self.planted)
 
     def _is_right(self, late: Late) -> bool:
-        named = {"hog": f" {self.pid} (", "flood": "timerfd", "stop": f"SIGSTOP from python {self.pid}", "pages": ""}
+        named = {
+            "hog": f" {self.pid} (",
+            "flood": "timerfd",
+            "packets": "NET_RX",
+            "stop": f"SIGSTOP from python {self.pid}",
+            "pages": "",
+        }
         chief = next(one for one in causes_of([late]) if one["cause"] == late.cause.value)
         who = [one["who"] for one in chief["mostly"]] or [""]
         return late.cause is self.expected and any(named[self.cause] in name for name in who)

@@ -191,7 +191,14 @@ def status(
 
 
 @app.command()
-def top(arm: RunningArm = None, named: NamedArm = None, language: LanguageOption = "en") -> None:
+def top(
+    arm: RunningArm = None,
+    named: NamedArm = None,
+    why: Annotated[
+        bool, typer.Option("--why", help="Tell what late cycles waited for, from the kernel's trace (as root).")
+    ] = False,
+    language: LanguageOption = "en",
+) -> None:
     """Show live what a running arm does, until q or Ctrl-C.
 
     Mode, goal, joints, lateness and cycle time of the last seconds and since the start, bus load, and what happened,
@@ -205,7 +212,14 @@ def top(arm: RunningArm = None, named: NamedArm = None, language: LanguageOption
         from rtarm.top.terminal import run
 
         spoken = language_of(language)
-        run(resolve_arm(arm, spoken), spoken)
+        found = resolve_arm(arm, spoken)
+        if not why:
+            run(found, spoken)
+            return
+        from rtarm.why_late.live import live
+
+        with live(found, spoken) as told:
+            run(found, spoken, told)
 
 
 @app.command()

@@ -336,4 +336,7 @@ SENTENCES = {
     "This process reads trace events already: let that end first.": "这个进程已经在读取跟踪事件：请先让它结束。",
     "Trace events cannot be read here: this kernel has no event {event}.": "这里无法读取跟踪事件：这个内核没有事件 {event}。",
     "Trace events cannot be read here, since {path} refuses it ({why}): try again as root, outside of containers.": "这里无法读取跟踪事件：{path} 拒绝（{why}）。请以管理员身份在容器外再试。",
+    "late because": "晚的原因",
+    "worst µs": "最严重 µs",
+    "Since this began no cycle was later than {bound:g} µs.": "开始以来没有周期晚于 {bound:g} µs。",
 }

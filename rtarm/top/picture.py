@@ -129,18 +129,24 @@ def _lines(look: Look, width: int, height: int, drawn: Callable[[Sequence[Text]]
         return head + events
     head = head[: max(1, height // 2)]
     facts, timing = drawn(_facts(look, width)), drawn(_timing(look, width))
+    because = drawn(_because(look, width))
     joints = _joints(report["joints"], width, look.language)
-    for_joints, for_facts, for_timing, for_events = share(
+    for_joints, for_facts, for_timing, for_because, for_events = share(
         height - len(head),
         [
             (min(len(joints), 1 + JOINTS_AT_LEAST), len(joints)),
             (len(facts), len(facts)),
             (len(timing), len(timing)),
+            (len(because), len(because)),
             (min(len(events), EVENTS_AT_LEAST), len(events)),
         ],
     )
     body = (
-        facts[:for_facts] + drawn(_cut(joints, for_joints, look.language)) + timing[:for_timing] + events[:for_events]
+        facts[:for_facts]
+        + drawn(_cut(joints, for_joints, look.language))
+        + timing[:for_timing]
+        + because[:for_because]
+        + events[:for_events]
     )
     if look.trouble is not None:
         body = [list(Segment.apply_style(line, OF_THE_PAST)) for line in body]
@@ -343,6 +349,24 @@ def _timing(look: Look, width: int) -> list[Text]:
     rows = [(f"{named(look.language, TIMINGS, one.what)} {one.span}", one, "") for one in look.timings]
     longest = max((cell_len(label) for label, _, _ in rows), default=0)
     return _table("µs", longest, TIMING_COLUMNS, rows, width)
+
+
+def _because(look: Look, width: int) -> list[Text]:
+    """Why cycles were late, or one line why that is not known."""
+    if look.why is None:
+        return []
+    language, heading = look.language, said(look.language, "late because")
+    if look.why.hint:
+        return [_hanging(f"{heading}: ", look.why.hint, "dim", width)]
+    columns = (
+        Column(said(language, "share"), 6, 0, lambda one: f"{one.share:.0%}"),
+        Column(said(language, "chiefly"), 8, 2, lambda one: str(one.cycles)),
+        Column(said(language, "worst µs"), 9, 1, lambda one: shown(one.worst_us, 0)),
+    )
+    rows = [(said(language, ", ").join(filter(None, (one.cause, one.who))), one, "") for one in look.why.causes]
+    longest = max(cell_len(label) for label in (heading, *(label for label, _, _ in rows)))
+    spare = width - sum(column.width + GAP for column in columns)
+    return _table(heading, min(longest, max(NAME_WIDTH, spare)), columns, rows, width)
 
 
 def bars(counts: Sequence[int]) -> str:

@@ -23,7 +23,7 @@ from rtarm.console.language import said
 from rtarm.console.niceness import nice_thread
 from rtarm.console.reporter import silence_stdout
 from rtarm.top.picture import Picture
-from rtarm.top.watch import Look, Watch
+from rtarm.top.watch import Look, Watch, Why
 from sentences.meaning import Language
 
 REFRESH_S = 0.2
@@ -53,8 +53,8 @@ class Watched(Protocol):
         """Nobody will look any more."""
 
 
-def run(arm: str, language: Language = "en") -> None:
-    """Show the arm until somebody ends it.
+def run(arm: str, language: Language = "en", why: Callable[[], Why] | None = None) -> None:
+    """Show the arm until somebody ends it, with what `why` says of its late cycles.
 
     Raises:
         Refusal: there is no terminal.
@@ -63,7 +63,7 @@ def run(arm: str, language: Language = "en") -> None:
     no_terminal = said(
         language, "`rtarm top` draws on a terminal, and this is not one: use `rtarm status --json` for scripts."
     )
-    show(lambda: Watch(arm, language), no_terminal)
+    show(lambda: Watch(arm, language, why), no_terminal)
 
 
 def show(watched: Callable[[], Watched], no_terminal: str) -> None:

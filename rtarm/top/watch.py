@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -50,6 +50,24 @@ class Timing(NamedTuple):
     spectrum: tuple[int, ...]
 
 
+class Because(NamedTuple):
+    """A cause of late cycles: who it mostly is ("": nobody is named), its share of all late time, of how many cycles
+    it is the chief one, and how long the latest of these waited (None: of none)."""
+
+    cause: str
+    who: str
+    share: float
+    cycles: int
+    worst_us: float | None
+
+
+class Why(NamedTuple):
+    """Why cycles were late, the chief causes first; `hint` is why there are none."""
+
+    causes: Sequence[Because] = ()
+    hint: str = ""
+
+
 @dataclass(frozen=True)
 class Look:
     """Everything that is shown of an arm at one moment.
@@ -61,6 +79,7 @@ class Look:
         happenings: newest first.
         epoch_offset_ns: CLOCK_REALTIME minus CLOCK_MONOTONIC.
         trouble: why all this is not of now; None when it is.
+        why: why cycles were late, in words; None where nobody asked.
         language: of all its sentences.
     """
 
@@ -73,6 +92,7 @@ class Look:
     epoch_offset_ns: int = 0
     trouble: str | None = None
     language: Language = "en"
+    why: Why | None = None
 
     @property
     def recent_span(self) -> str:
@@ -81,14 +101,15 @@ class Look:
 
 
 class Watch:
-    """Looks at one arm, through restarts of its processes.
+    """Looks at one arm, through restarts of its processes; `why` says why its cycles were late.
 
     Raises:
         SharedMemoryError: no control process of that arm runs now, or its files are not what they should be.
     """
 
-    def __init__(self, arm: str, language: Language = "en") -> None:
+    def __init__(self, arm: str, language: Language = "en", why: Callable[[], Why] | None = None) -> None:
         self._language = language
+        self._why = why
         self._last = Look(arm, language=language)
         self._past: deque[Happening] = deque(maxlen=HAPPENINGS)
         self._windows: deque[tuple[float, Window]] = deque()
@@ -169,6 +190,7 @@ class Watch:
             happenings=self._newest_first(self._happenings(reader)),
             epoch_offset_ns=time.time_ns() - time.monotonic_ns(),
             language=self._language,
+            why=None if self._why is None else self._why(),
         )
 
     def _window(self, reader: StateReader) -> Window:

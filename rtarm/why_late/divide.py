@@ -12,6 +12,7 @@ but the first). So such a switch is also taken from the events that follow, each
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
@@ -183,21 +184,34 @@ def stood_still(segments: Iterable[Segment], stolen_ns: int) -> list[Segment]:
 
 
 def _woken_from(events: Sequence[Event], tid: int) -> dict[int, int]:
-    """The processor whose timer woke the thread, or NO_TIMER, by the number of the event with which it fell asleep."""
+    """The processor whose timer woke the thread, or NO_TIMER, by the number of the event with which it fell asleep.
+
+    What an interrupt did that was not traced is not known.
+    """
     found: dict[int, int] = {}
     asleep: int | None = None
     timers: set[int] = set()
+    entered: Counter[int] = Counter()
     for number, event in enumerate(events):
         match event.what:
             case Enter(timer=True):
                 timers.add(event.cpu)
-            case Exit() | Switch() | Lost():
+            case Enter():
+                entered[event.cpu] += 1
+            case Exit(key=key):
                 timers.discard(event.cpu)
+                entered[event.cpu] -= key != "hrtimer" and entered[event.cpu] > 0
+            case Switch() | Lost():
+                timers.discard(event.cpu)
+                entered[event.cpu] = 0
         match event.what:
             case Switch(before=before) if before.pid == tid:
                 asleep = number
             case Woken(pid=pid) if pid == tid and asleep is not None:
-                found[asleep] = event.cpu if event.cpu in timers else NO_TIMER
+                if event.cpu in timers:
+                    found[asleep] = event.cpu
+                elif event.bare or entered[event.cpu]:
+                    found[asleep] = NO_TIMER
                 asleep = None
     return found
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from rtarm.console.errors import Refusal
 from rtarm.console.language import said
+from rtarm.doctor.machine import Unknown, cpu_list
 from sentences.meaning import Language
 
 PLACES = (Path("/sys/kernel/tracing"), Path("/sys/kernel/debug/tracing"))
@@ -23,6 +24,7 @@ READ_BYTES = 1 << 16
 ATTEMPTS = 5
 MOST_S = 0.5
 """Where events come faster than they are read, a read ends after this, and the next one goes on."""
+WITHOUT_TICK = Path("/sys/devices/system/cpu/nohz_full")
 FIRST_PID_NAMESPACE = 0xEFFFFFFC
 """The kernel's own number of it, in which the trace counts tasks."""
 OPTIONS = (
@@ -221,9 +223,17 @@ def _filter(folder: Path, tid: int, cpus: set[int]) -> None:
     for pattern, wanted in EVENTS.items():
         for event in _found(folder, pattern):
             _write(event / "filter", wanted.always.format(**names) or "0")
-            if wanted.pinned and len(cpus) == 1:
+            if wanted.pinned and len(cpus) == 1 and not _timers_elsewhere(cpus):
                 with contextlib.suppress(NotTraced):  # an older kernel, which then traces more
                     _write(event / "filter", wanted.pinned.format(**names))
+
+
+def _timers_elsewhere(cpus: set[int]) -> bool:
+    """Whether timers of these processors expire on others, which are then what may be late."""
+    try:
+        return not cpus.isdisjoint(cpu_list(WITHOUT_TICK.read_text().strip(), str(WITHOUT_TICK)))
+    except (OSError, Unknown):  # the kernel has no such processors
+        return False
 
 
 def _found(folder: Path, pattern: str) -> list[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import io
 import math
@@ -15,6 +16,7 @@ import sys
 import termios
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +35,7 @@ from rtarm.top import watch as watching
 from rtarm.top.events import Happening, happening
 from rtarm.top.picture import TIMING_COLUMNS, Picture, bars, fitting, joint_columns, share
 from rtarm.top.terminal import run
-from rtarm.top.watch import BINS, HAPPENINGS, RECENT_S, Look, Timing, Watch, spectrum
+from rtarm.top.watch import BINS, HAPPENINGS, RECENT_S, Because, Look, Timing, Watch, Why, spectrum
 from shm import files, histogram, layout
 from shm.errors import NotRunning
 from shm.recording import newest_events
@@ -437,6 +439,36 @@ def test_the_picture_in_a_terminal_of_80_by_24() -> None:
     ]
 
 
+def test_why_cycles_were_late_stands_below_how_late_they_were() -> None:
+    found = look(report(["joint1"]), [Happening(0, "Mode: executing.")])
+    causes = (
+        Because("interrupt", "local_timer", 0.756, 12, 1834.4),
+        Because("interrupts off, or the machine stood still", "python 10163", 0.2, 0, None),
+        Because("unknown", "", 0.044, 1, 120.0),
+    )
+    lines = [line.rstrip() for line in drawn(replace(found, why=Why(causes)), 80, 24)]
+    at = lines.index("late because                                            share  chiefly  worst µs")
+    assert lines[at - 1].startswith("cycle all along")
+    assert lines[at + 1 : at + 4] == [
+        "interrupt, local_timer                                    76%       12      1834",
+        "interrupts off, or the machine stood still, python 10…    20%        0         -",
+        "unknown                                                    4%        1       120",
+    ]
+    assert lines[at + 4].endswith("Mode: executing.")
+    assert not any("late because" in line for line in drawn(found, 80, 24))
+    hint = "Trace events cannot be read here without permission: try again as root, with `sudo`."
+    told = " ".join(line.strip() for line in drawn(replace(found, why=Why((), hint)), 80, 24))
+    assert f"late because: {hint}" in told and "chiefly" not in told
+
+
+def test_a_look_has_what_is_told_of_late_cycles(arm: WrittenArm) -> None:
+    told = Why((), "None.")
+    with contextlib.closing(Watch(arm.name, why=lambda: told)) as watch:
+        assert watch.look().why is told
+    with contextlib.closing(Watch(arm.name)) as watch:
+        assert watch.look().why is None
+
+
 def test_many_joints_in_a_small_terminal() -> None:
     found = report([f"joint{number}" for number in range(1, 33)])
     lines = drawn(look(found, [Happening(0, "Mode: executing.")]), 100, 24)
@@ -497,6 +529,8 @@ def test_room_is_shared_out_and_never_exceeded(room: int, wants: list[tuple[int,
     sentences=st.lists(texts, max_size=70),
     trouble=st.none() | texts,
     no_report=st.booleans(),
+    because=st.none()
+    | st.lists(st.builds(Because, texts, texts, st.floats(0, 1), st.integers(0), figures), max_size=5),
 )
 def test_the_picture_fits_every_terminal(
     width: int,
@@ -508,11 +542,14 @@ def test_the_picture_fits_every_terminal(
     sentences: list[str],
     trouble: str | None,
     no_report: bool,
+    because: list[Because] | None,
 ) -> None:
     found = report(names, mode=mode, healthy=not problems, problems=problems)
     for joint in found["joints"]:
         joint.update(position_rad=figure, error_rad=figure, age_ms=figure, referenced=figure is not None)
     seen = look(found, [Happening(number, sentence) for number, sentence in enumerate(sentences)], trouble)
+    if because is not None:
+        seen = replace(seen, why=Why(because, "" if because else "It is not known."))
     if no_report:
         seen = Look("arm", trouble="It has not run a cycle yet.", happenings=seen.happenings)
     lines = drawn(seen, width, height)

@@ -215,12 +215,18 @@ def test_page_faults_last_until_the_next_event_and_not_for_long() -> None:
 
 
 def test_a_page_that_comes_from_the_disk() -> None:
-    events = [*runs(0), at(100, CYCLE, Fault()), at(105, CYCLE, Switch(CYCLE, "D", IDLE)), at(900, IDLE, Woken(10, 1))]
+    events = [*runs(0), at(100, CYCLE, Fault()), at(105, CYCLE, Switch(CYCLE, "D", IDLE))]
+    events.append(at(900, IDLE, Woken(10, 1))._replace(bare=True))
     assert divided([*events, *runs(905)], 100, 900) == [(800, Cause.PAGE_FAULT, "")]
 
 
 def test_a_wait_for_something_else_than_a_timer() -> None:
-    events = [*runs(0), at(100, CYCLE, Switch(CYCLE, "S", IDLE)), at(300, CALM, Woken(10, 1), cpu=0), *runs(310)]
+    woken = at(300, CALM, Woken(10, 1), cpu=0)
+    events = [*runs(0), at(100, CYCLE, Switch(CYCLE, "S", IDLE)), woken._replace(bare=True), *runs(310)]
+    assert divided(events, 100, 300) == [(200, Cause.BLOCKED, "")]
+    events[2] = woken  # in an interrupt of a processor that is not traced, which may have been the timer's
+    assert divided(events, 100, 300) == [(200, Cause.UNKNOWN, "")]
+    events[2:2] = [at(290, CALM, Enter("irq 5", "disk", hard=True), cpu=0)]
     assert divided(events, 100, 300) == [(200, Cause.BLOCKED, "")]
 
 

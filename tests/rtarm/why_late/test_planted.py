@@ -13,15 +13,18 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from planted_trials import Trial, impossible, mock_arm, planted_in_arm, planted_in_loop
+from planted_trials import CPU, Lines, Trial, impossible, mock_arm, planted_in_arm, planted_in_loop
 from stack import ROOT, Stack
 from typer.testing import Result
 from waiting import until
 from written_arm import WrittenArm
 
+from rtarm.running.status import open_running
 from rtarm.why_late import hints, tracefs
+from rtarm.why_late import live as live_room
 from rtarm.why_late.causes import MEANINGS, WORDS, Cause
 from rtarm.why_late.hints import Hints, counted
+from rtarm.why_late.live import live
 from rtarm.why_late.tracefs import NotTraced, place, traced
 from rtarm.why_late.watch import cpu_of
 
@@ -48,7 +51,7 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
 
 @possible
 @pytest.mark.process
-@pytest.mark.parametrize("cause", ["hog", "flood", "stop"])
+@pytest.mark.parametrize("cause", ["hog", "flood", "packets", "stop"])
 def test_what_is_planted_beside_an_arm_is_found(stack: Stack, cause: str) -> None:
     judge(planted_in_arm(stack, cause, PLANTS))
 
@@ -77,6 +80,41 @@ def test_the_command_tells_of_an_arm_and_ends_early(stack: Stack, tmp_path: Path
     assert {one["cause"] for one in report["causes"]} != {"unknown"}
     assert (tmp_path / "causes.svg").stat().st_size > 1000
     assert not instance.exists()
+
+
+@possible
+@pytest.mark.process
+def test_what_late_cycles_waited_for_is_told_while_the_arm_runs(stack: Stack) -> None:
+    header = stack.reader.memory.record["header"]
+    due_ns = int(stack.reader.snapshot()["monotonic_ns"])
+    with live(stack.name) as told:
+        until(lambda: any((place() / "instances").glob(f"rtarm-{os.getpid()}")))
+        hog = Lines("hog", due_ns, int(header["period_ns"]), PLANTS, cpu=CPU)
+        try:
+            until(lambda: any(f" {hog.process.pid} (" in one.who for one in told().causes))
+        finally:
+            hog.close()
+        causes, hint = told()
+        assert hint == "" and all(0 <= one.share <= 1 for one in causes)
+    assert not any((place() / "instances").glob(f"rtarm-{os.getpid()}"))
+
+
+@pytest.mark.usefixtures("nowhere")
+def test_without_a_trace_there_is_one_hint(arm: WrittenArm) -> None:
+    with live(arm.name) as told:
+        until(lambda: "mount -t tracefs" in told().hint)
+        assert told().causes == ()
+    with live(arm.name, "zh") as told:
+        until(lambda: "这里无法读取跟踪事件" in told().hint)
+
+
+def test_an_arm_that_ends_is_waited_for(arm_name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(live_room, "AGAIN_S", 0.01)
+    monkeypatch.setattr(live_room, "open_running", lambda name: asked.append(name) or open_running(name))
+    with live(arm_name) as told:
+        until(lambda: len(asked) > 2)
+        assert told() == ((), "Since this began no cycle was later than 100 µs.")
 
 
 @possible
@@ -174,6 +212,21 @@ def test_a_pinned_thread_has_its_processor_traced_alone(written: Path) -> None:
                 os.sched_setaffinity(0, allowed)
                 trace.read()
                 assert filters()[0] == "0"
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
+def test_a_processor_whose_timers_expire_elsewhere_is_not_traced_alone(
+    written: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    allowed = os.sched_getaffinity(0)
+    monkeypatch.setattr(tracefs, "WITHOUT_TICK", tmp_path / "nohz_full")
+    try:
+        os.sched_setaffinity(0, {min(allowed)})
+        for listed, wanted in (("(null)", f"CPU == {min(allowed)}"), ("", f"CPU == {min(allowed)}"), ("0-63,70", "0")):
+            (tmp_path / "nohz_full").write_text(f"{listed}\n")
+            with traced(os.getpid()):
+                assert (written / "events/sched/sched_switch/filter").read_text() == wanted
     finally:
         os.sched_setaffinity(0, allowed)
 
