@@ -12,11 +12,13 @@ since the last message, nor before every joint has been measured once: a positio
 Effort is NaN where a drive measures none.
 """
 
+import contextlib
 import math
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -28,9 +30,12 @@ from rosfront.plan import NS
 from rosfront.serving import STALLED_NS, Serving, gone, hung, starting
 from shm.errors import NotRunning, SharedMemoryError, TornRead
 
-SETTLE_NS = 300_000
-"""Time from a cycle's planned time to the first read of its snapshot; if it is not there yet, the thread polls."""
-LOOK_AGAIN_S = 0.0003
+SETTLE_NS = 60_000
+"""Time from a cycle's planned time to the first read of its snapshot; if it is not there yet, the thread polls.
+
+Of 100 cycles 99 have published theirs by then, and no message is older than it need be.
+"""
+LOOK_AGAIN_S = 0.0001
 """The first pause between two polls for a late snapshot; each later one is twice as long, up to a limit."""
 ATTACH_EVERY_S = 0.1
 FIRST_CYCLE_EVERY_S = 0.02
@@ -120,6 +125,7 @@ class Pulse(threading.Thread):
 
     def run(self) -> None:
         """Until `stop`: attach, follow the cycles, notice that the control process is gone, attach again."""
+        _wake_up_exactly()
         quiet_until_s = time.monotonic() + QUIET_START_S
         while not self._leave.is_set():
             if self._link is None:
@@ -251,3 +257,9 @@ class Pulse(threading.Thread):
     def _tell_lost(self, reason: str) -> None:
         self._serving.lost(reason)
         self._say(reason)
+
+
+def _wake_up_exactly() -> None:
+    """Take this thread's timer slack, by which the kernel may delay its wake-ups: 50 µs of each message's age."""
+    with contextlib.suppress(OSError):  # only as old as before
+        Path(f"/proc/{threading.get_native_id()}/timerslack_ns").write_text("1")

@@ -1,7 +1,9 @@
 """When a message may be published, and what the publisher's thread does beside it."""
 
+import os
 import struct
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -145,6 +147,13 @@ def followed(thread, slow):
     cycles = np.array(thread.cycles)
     steps = dict(zip(cycles[:-1].tolist(), np.diff(cycles).tolist(), strict=True))
     return sum(steps.get(cycle) == 1 for cycle in slow)
+
+
+def test_its_wake_ups_are_not_put_off_by_the_kernel(thread):
+    thread.pulse.start()
+    slack = Path(f"/proc/{thread.pulse.native_id}/timerslack_ns")
+    until(lambda: slack.read_text() == "1\n")
+    assert Path(f"/proc/{os.getpid()}/timerslack_ns").read_text() != "1\n", "that of other threads stays as it is"
 
 
 @pytest.mark.process
