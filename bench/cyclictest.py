@@ -35,6 +35,10 @@ class Cyclictest:
         command += [] if spike_us is None else [f"--spike={spike_us}", "--spike-nodes=100000"]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def end(self) -> None:
         """Wait for its end, and read what it says."""
         text = self._process.communicate()[0]

@@ -176,11 +176,12 @@ class Watcher:
         undivided: late ones that were too many for a look, or for all looks.
     """
 
-    def __init__(self, source: Source, tid: int, trace: Traced, bound_ns: int) -> None:
+    def __init__(self, source: Source, tid: int, trace: Traced, bound_ns: int, kept_ns: int = KEPT_NS) -> None:
         self.late: list[Late] = []
         self.cycles = 0
         self.undivided = 0
         self._source, self._tid, self._trace, self._bound_ns = source, tid, trace, bound_ns
+        self._kept_ns = kept_ns
         self._history_ns = HISTORY_NS + 2 * source.period_ns
         self._text: deque[tuple[int, str]] = deque()
         self._waiting: list[Cycle] = []
@@ -225,7 +226,7 @@ class Watcher:
     def _forget(self) -> None:
         """Let go of what no later cycle can need."""
         cycles = self._waiting or ([] if self._last is None else [self._last])
-        from_ns = min((cycle.due_ns for cycle in cycles), default=time.monotonic_ns() - KEPT_NS) - self._history_ns
+        from_ns = min((cycle.due_ns for cycle in cycles), default=time.monotonic_ns() - self._kept_ns) - self._history_ns
         kept = sum(len(text) for _, text in self._text)
         while self._text and (self._text[0][0] < from_ns or kept > MOST_TEXT):
             kept -= len(self._text.popleft()[1])
