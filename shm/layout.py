@@ -86,6 +86,7 @@ class Scheduling(Table, line_bytes=LINE_BYTES):
     memory_locked: Annotated[int, "1 when what the cycle uses is locked"]
     cpu: Annotated[int, "CPU the cycle is pinned to, -1 when free"]
     dma_latency_held: Annotated[int, "1 while /dev/cpu_dma_latency is held at 0"]
+    thread_id: Annotated[int, "the kernel's id of the thread that runs the cycle"]
 
 
 class Joint(Table):

@@ -16,7 +16,7 @@ from rtarm.scan.overheard import drive_of, of_a_vesc, overheard
 from rtarm.scan.questions import BY_NAME, EVERYBODY, Question
 from rtarm.scan.wires import Frame, SlcanWire, Wire
 from rtloop.drives import vesc_protocol as vesc
-from rtloop.drives import zdt_protocol as protocol
+from rtloop.drives import zdt_protocol as zdt
 from rtloop.drives.zdt_ask import NOT_UNDERSTOOD, split_packets
 
 BITRATES = (500_000, 1_000_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000)
@@ -207,7 +207,7 @@ def ask(wire: Wire, outcome: Outcome, bitrate: int, ends_s: float) -> None:
 
 def a_vesc_answers(wire: Wire, bitrate: int) -> bool:
     """Whether a VESC of number 0 is there: a ZDT question to address 17 is its ping, and the answer names who asked."""
-    pong = vesc.PONG << PACKET_BIT | protocol.ASK_FIRMWARE[0]
+    pong = vesc.PONG << PACKET_BIT | zdt.ASK_FIRMWARE[0]
     return any(frame.id == pong for frame in _ask_for_firmware(wire, (vesc.PING,), ROUND_BITS / bitrate + 0.001))
 
 
@@ -264,14 +264,14 @@ def ask_zdt(wire: Wire, bitrate: int, ends_s: float) -> list[FoundDrive]:
 def _ask_for_firmware(wire: Wire, addresses: Iterable[int], pace_s: float) -> list[Frame]:
     heard = []
     for address in addresses:
-        wire.send(Frame(address << 8, protocol.ASK_FIRMWARE))
+        wire.send(Frame(address << 8, zdt.ASK_FIRMWARE))
         heard += wire.receive(pace_s)
     return heard + wire.receive(REPLY_S + pace_s)
 
 
 def _introduce(address: int, said: list[bytes]) -> FoundDrive | None:
     """What the answers of one address to one question make of it; None if no drive said any of them."""
-    answers = [data for data in said if data[:1] == protocol.ASK_FIRMWARE[:1] and len(data) in (4, 6)]
+    answers = [data for data in said if data[:1] == zdt.ASK_FIRMWARE[:1] and len(data) in (4, 6)]
     spoilt = [data for data in said if data[:2] == NOT_UNDERSTOOD[:2] and len(data) == 3]
     if not answers and not spoilt:
         return None
@@ -281,9 +281,9 @@ def _introduce(address: int, said: list[bytes]) -> FoundDrive | None:
             f"More than one drive answers at address {address}: unplug all but one, give each an address of its own in "
             "its menu, switch off and on, and scan again."
         )
-    elif not any(data[-1] == protocol.CHECKSUM for data in (*answers, *spoilt)):
+    elif not any(data[-1] == zdt.CHECKSUM for data in (*answers, *spoilt)):
         drive.notes.append(f"The drive at address {address} uses another checksum: set Checksum to 0x6B in its menu.")
-    version = protocol.version_of(answers[0]) if answers and answers[0][-1] == protocol.CHECKSUM else None
+    version = zdt.version_of(answers[0]) if answers and answers[0][-1] == zdt.CHECKSUM else None
     if version is not None:
         drive.firmware, drive.known = str(version), version.known
     return drive
@@ -291,9 +291,9 @@ def _introduce(address: int, said: list[bytes]) -> FoundDrive | None:
 
 def _ask_for_settings(wire: Wire, drive: FoundDrive, pace_s: float) -> None:
     heads: set[bytes] = set()
-    answer = _ask(wire, drive.address, protocol.ASK_BLOCK, protocol.BLOCK_PACKETS, pace_s, heads)
-    block = protocol.block_of(answer)
-    if block is None and (not heads or protocol.BLOCK_HEAD in heads):
+    answer = _ask(wire, drive.address, zdt.ASK_BLOCK, zdt.BLOCK_PACKETS, pace_s, heads)
+    block = zdt.block_of(answer)
+    if block is None and (not heads or zdt.BLOCK_HEAD in heads):
         drive.notes.append(
             f"The drive at address {drive.address} answers, but its configuration did not come through in {TRIES} "
             "tries: check the adapter's cable, the two CAN wires and 120 Ω at both ends, then scan again."
@@ -305,12 +305,12 @@ def _ask_for_settings(wire: Wire, drive: FoundDrive, pace_s: float) -> None:
         )
     else:
         drive.microsteps, drive.current_ma = block.microsteps, block.current_ma
-        if block.response < len(protocol.RESPONSES):
-            drive.response = protocol.RESPONSES[block.response]
-    answer = _ask(wire, drive.address, protocol.ASK_STATUS, 1, pace_s)
-    flags = protocol.number_of(answer, protocol.ASK_STATUS, 1)
+        if block.response < len(zdt.RESPONSES):
+            drive.response = zdt.RESPONSES[block.response]
+    answer = _ask(wire, drive.address, zdt.ASK_STATUS, 1, pace_s)
+    flags = zdt.number_of(answer, zdt.ASK_STATUS, 1)
     if flags is not None:
-        drive.protected, drive.power_lost = bool(flags & protocol.PROTECTED), bool(flags & protocol.POWER_LOST)
+        drive.protected, drive.power_lost = bool(flags & zdt.PROTECTED), bool(flags & zdt.POWER_LOST)
 
 
 def _ask(
@@ -332,6 +332,6 @@ def _ask(
             heads.add(parts[0][:2])
         if len(parts) == packets:
             whole = question[:1] + b"".join(parts[number] for number in range(packets))
-            if whole[-1] == protocol.CHECKSUM:
+            if whole[-1] == zdt.CHECKSUM:
                 return whole
     return None

@@ -236,6 +236,7 @@ class ControlProcess:
         words["policy"], words["priority"] = self._obtained.policy, self._obtained.priority
         words["memory_locked"], words["cpu"] = self._obtained.memory_locked, self._obtained.cpu
         words["dma_latency_held"] = self._obtained.dma_latency_fd >= 0
+        words["thread_id"] = threading.get_native_id()
         self._prepared.set()
         kept = self._loop, self._files.state.array, self._files.command.array  # keeps them mapped while this runs
         if self._compiled.run(kept[0].ctypes.data, kept[1].ctypes.data) != 0:

@@ -131,13 +131,15 @@ def span_keeps_limits(loop: Loop, path_index: int, rate: float, from_s: float, u
     period_s = loop.params.period_ns * 1e-9
     h = until_s - from_s
     for joint in range(loop.params.joint_count):
-        p0, v0, a0 = plan(loop, path_index, joint, from_s, waypoint)
-        p1, v1, a1 = p0, v0, a0
-        j0, j1 = 0.0, 0.0
         if waypoint < path.taken - 1 and in_goal(loop, path_index, joint):
             c0, c1, c2, c3, c4, c5 = plan_coefficients(loop, path_index, joint, waypoint)
+            p0, v0, a0 = evaluate(c0, c1, c2, c3, c4, c5, from_s - start_s)
             p1, v1, a1 = evaluate(c0, c1, c2, c3, c4, c5, until_s - start_s)
             j0, j1 = jerk(c3, c4, c5, from_s - start_s), jerk(c3, c4, c5, until_s - start_s)
+        else:
+            p0, v0, a0 = plan(loop, path_index, joint, from_s, waypoint)
+            p1, v1, a1 = p0, v0, a0
+            j0, j1 = 0.0, 0.0
         bp0, bv0, ba0, bj0 = blend_motion(loop, path_index, joint, from_s, from_s)
         bp1, bv1, ba1, bj1 = blend_motion(loop, path_index, joint, until_s, from_s)
         p0, v0, a0, j0 = p0 + bp0, v0 + bv0, a0 + ba0, j0 + bj0
