@@ -13,7 +13,7 @@ from many_cycles import RecordingArm
 from shm.recording import read_recording
 from shm.words import Outcome
 
-JOINTS = (6, 32)
+JOINTS = (6, 16)
 ROUNDS = {"hot": 15, "cold": 3}
 OTHER_BYTES = {"hot": 0, "cold": 80 << 20}
 KEPT = {"nothing": (0, 0), "cycles": (1, 0), "cycles and frames": (1, 1)}
