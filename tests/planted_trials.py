@@ -190,7 +190,7 @@ def planted_in_arm(stack: Stack, cause: str, count: int) -> Trial:
     header = memory.record["header"]
     pid, period_ns = int(header["pid"]), int(header["period_ns"])
     due_ns = int(stack.reader.snapshot()["monotonic_ns"])
-    tid = cycle_thread(pid)
+    tid = cycle_thread(memory)
     with traced(tid) as trace:
         watcher = Watcher(ArmCycles(memory), tid, trace.read, BOUND_NS)
         numbers = (pid, count) if cause == "stop" else (due_ns, period_ns, count)

@@ -21,6 +21,7 @@ from rtarm.why_late.hints import Hints
 from rtarm.why_late.report import report_of
 from rtarm.why_late.tracefs import NotTraced, traced
 from rtarm.why_late.watch import KEPT_NS, LOOK_S, ArmCycles, Source, Traced, Watcher, cpu_of, cycle_thread
+from sentences.meaning import Language
 from shm import files
 from shm.files import MemoryFile
 
@@ -65,7 +66,7 @@ def _watched(memory: MemoryFile, seconds: float, bound_us: float, language: Lang
     name, pid = files.arm_name(memory.record["header"]), int(memory.record["header"]["pid"])
     notes: list[str] = []
     try:
-        tid = cycle_thread(pid)
+        tid = cycle_thread(memory)
     except OSError as error:
         raise Refusal(
             said(
@@ -108,3 +109,57 @@ def beside(memory: MemoryFile, bound_ns: int) -> Iterator[Watcher]:
         NotTraced: trace events cannot be read here.
         OSError: the control process is gone.
     """
+    with watching(ArmCycles(memory), cycle_thread(memory), bound_ns) as watcher:
+        yield watcher
+
+
+@contextlib.contextmanager
+def watching(source: Source, tid: int, bound_ns: int, kept_ns: int = KEPT_NS) -> Iterator[Watcher]:
+    """The same of any thread whose cycles a source knows, `kept_ns` after they ended at the latest.
+
+    Raises:
+        NotTraced: trace events cannot be read here.
+    """
+    ended = threading.Event()
+    with traced(tid) as trace, looker(tid) as thread:
+        watcher = Watcher(source, tid, trace.read, bound_ns, kept_ns)
+
+        def look_on() -> None:
+            while not ended.wait(LOOK_S):
+                watcher.look()
+            watcher.look(settle_ns=0)
+
+        looking = thread.submit(look_on)
+        try:
+            yield watcher
+        finally:
+            ended.set()
+            looking.result()
+
+
+def looker(tid: int) -> ThreadPoolExecutor:
+    """A thread that reads the trace and uses other processors than the cycle's, where there are others.
+
+    Beside a cycle of real-time priority it goes before other ordinary ones, else it would not keep up with the events
+    of a busy machine; beside any other it is of the lowest priority.
+    """
+    cpu = cpu_of(tid)
+    with contextlib.suppress(ProcessLookupError):  # who watches notices that it is gone
+        if os.sched_getparam(tid).sched_priority > 0:
+            return ThreadPoolExecutor(max_workers=1, initializer=_keep_up, initargs=(cpu,))
+    thread = nice_thread()
+    thread.submit(_keep_off, cpu).result()
+    return thread
+
+
+def _keep_up(cpu: int) -> None:
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), READING_NICE)
+    _keep_off(cpu)
+
+
+def _keep_off(cpu: int) -> None:
+    """This thread uses other processors than the cycle's, where there are others."""
+    others = os.sched_getaffinity(0) - {cpu}
+    if others:
+        os.sched_setaffinity(threading.get_native_id(), others)

@@ -40,7 +40,6 @@ BEHIND_NS = 2_000_000_000
 """So long a late cycle waits for its events to be read."""
 SHORT = 0.02
 """Segments of less than this share of the interval are left out of a time line."""
-TELLING_S = 0.3
 MOST_LINE = 4096
 USUAL = 1000
 """Cycles of which the usual time is taken."""
@@ -226,7 +225,8 @@ class Watcher:
     def _forget(self) -> None:
         """Let go of what no later cycle can need."""
         cycles = self._waiting or ([] if self._last is None else [self._last])
-        from_ns = min((cycle.due_ns for cycle in cycles), default=time.monotonic_ns() - self._kept_ns) - self._history_ns
+        from_ns = min((cycle.due_ns for cycle in cycles), default=time.monotonic_ns() - self._kept_ns)
+        from_ns -= self._history_ns
         kept = sum(len(text) for _, text in self._text)
         while self._text and (self._text[0][0] < from_ns or kept > MOST_TEXT):
             kept -= len(self._text.popleft()[1])
@@ -293,28 +293,12 @@ def stolen_ns(cpu: int) -> int:
     return 0
 
 
-def cycle_thread(pid: int) -> int:
-    """The thread of a control process that runs its cycle.
-
-    It has the highest priority; where none has any, it sleeps most often.
+def cycle_thread(memory: MemoryFile) -> int:
+    """The thread that runs the cycle of a control process.
 
     Raises:
-        OSError: the process is gone.
+        OSError: the process is gone, or lives in another container.
     """
-    priorities = {}
-    for name in os.listdir(f"/proc/{pid}/task"):
-        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
-            priorities[int(name)] = os.sched_getparam(int(name)).sched_priority
-    highest = max(priorities.values(), default=0)
-    if highest > 0:
-        return max(priorities, key=lambda tid: priorities[tid])
-    before = {tid: _sleeps(pid, tid) for tid in priorities}
-    time.sleep(TELLING_S)
-    return max(before, key=lambda tid: _sleeps(pid, tid) - before[tid], default=pid)
-
-
-def _sleeps(pid: int, tid: int) -> int:
-    with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-        status = Path(f"/proc/{pid}/task/{tid}/status").read_text()
-        return int(status.partition("\nvoluntary_ctxt_switches:")[2].split(maxsplit=1)[0])
-    return 0
+    pid, tid = int(memory.record["header"]["pid"]), int(memory.record["scheduling"]["thread_id"])
+    os.stat(f"/proc/{pid}/task/{tid}")
+    return tid

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 import zlib
@@ -36,6 +37,7 @@ class WrittenArm:
             self.rows[word] = np.nan
         self.state["counters"]["cycles"] = 1234
         self.state["scheduling"]["cpu"] = -1
+        self.state["scheduling"]["thread_id"] = os.getpid()
         self.publish()
 
     def publish(self, read: bool = True) -> None:

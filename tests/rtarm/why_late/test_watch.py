@@ -221,13 +221,18 @@ def test_the_cycles_of_an_arm(arm: WrittenArm) -> None:
     assert source.taken(record[:0]) == []
 
 
-def test_the_thread_of_the_cycle_is_found() -> None:
+def test_the_thread_of_the_cycle_is_told_as_long_as_it_is_there(arm: WrittenArm) -> None:
     own = os.getpid()
-    assert cycle_thread(own) in map(int, os.listdir(f"/proc/{own}/task"))
-    assert cpu_of(own) in range(os.cpu_count() or 1)
-    assert cpu_of(0) == -1
+    arm.state["header"]["pid"] = arm.state["scheduling"]["thread_id"] = own
+    assert cycle_thread(arm.files.state) == own
+    arm.state["scheduling"]["thread_id"] = 0x7FFFFFFF
     with pytest.raises(OSError):
-        cycle_thread(0x7FFFFFFF)
+        cycle_thread(arm.files.state)
+
+
+def test_the_processor_of_a_thread() -> None:
+    assert cpu_of(os.getpid()) in range(os.cpu_count() or 1)
+    assert cpu_of(0) == -1
 
 
 # --- the report ---------------------------------------------------------------------------------------------
