@@ -30,7 +30,7 @@ pytestmark = pytest.mark.skipif(bool(impossible()), reason=impossible())
 @pytest.mark.timeout(900)
 def test_planted_causes(report, tmp_path):
     trials = asyncio.run(planted_trials(tmp_path))
-    report(f"planted {PLANTS} times each", load.described() if LOADED else "an idle machine")
+    report(f"planted {PLANTS} times each", load.described() if LOADED else "no load of ours")
     columns = [cause for cause in Cause if any(cause in trial.found() for trial in trials)]
     for trial in trials:
         found = ", ".join(f"{cause.value} {trial.found()[cause]}" for cause in columns if trial.found()[cause])
