@@ -19,8 +19,11 @@ TRIALS ?= 200
 CASES ?= 1000000
 COUNT ?= 80
 SEED ?= 1
+# Where `make test-arm64` keeps its Debian and what is compiled there, some GB, and which of its stages it does: all.
+RTARM_ARM64 ?= $(HOME)/.cache/rtarm-arm64
+STAGES ?=
 
-.PHONY: help env tools lock demo test test-live test-uncompiled test-checked test-all test-vm transcripts mutants check docs reference names keep bench trials ros-trials bus-trials bus-trials-live stop-trials soak fuzz dist test-dist clean
+.PHONY: help env tools lock demo test test-live test-uncompiled test-checked test-all test-vm test-arm64 transcripts mutants check docs reference names keep bench trials ros-trials bus-trials bus-trials-live stop-trials soak fuzz dist test-dist clean
 
 help:
 	@echo 'make demo     play a recorded MoveIt goal on a simulated arm, VIEW=1 to watch and move it in a browser'
@@ -30,6 +33,7 @@ help:
 	@echo 'make test-checked  let hostile writers run against the cycle with every index checked: some minutes'
 	@echo 'make test-vm  run tests/vm in a small virtual machine that has SocketCAN'
 	@echo 'make test-all  all of these but mutants, and test-dist: what CI runs besides check and docs'
+	@echo 'make test-arm64  as root: run the tests that need no ROS, and the install page, in an emulated ARM64 Debian in RTARM_ARM64=FOLDER'
 	@echo 'make transcripts  hold what the control cycle says against recordings'
 	@echo 'make mutants  make small errors in leaf functions, COUNT=80 of them, each of which a test must notice'
 	@echo 'make check    ruff and mypy'
@@ -94,6 +98,10 @@ mutants: env
 
 test-vm: tools
 	$(BIN)/python tests/vm/boot.py
+
+test-arm64: export RTARM_ARM64 := $(RTARM_ARM64)
+test-arm64:
+	@$(PYTHON) packaging/arm64.py $(STAGES)
 
 check: tools
 	$(BIN)/ruff check .

@@ -1,8 +1,9 @@
 """`make env` and the like: the environment in .venv, made of steps that are done once for what they are made of.
 
-`python3 packaging/environment.py PURPOSE` with `demo` (what `make demo` needs), `tools` (all packages and ROS messages)
-or `all`. A stamp for each step stands for everything that decides its result, so that a second call has nothing to do,
-one that was interrupted goes on, and what changed is made anew. Only Python's own library.
+`python3 packaging/environment.py PURPOSE` with `demo` (what `make demo` needs), `tools` (all packages and ROS
+messages), `control` (what needs no ROS: the control process and its tests) or `all`. A stamp for each step stands for
+everything that decides its result, so that a second call has nothing to do, one that was interrupted goes on, and what
+changed is made anew. Only Python's own library.
 """
 
 from __future__ import annotations
@@ -31,11 +32,16 @@ ROS_SETUP = Path("/opt/ros/jazzy/setup.bash")
 PURPOSES = {
     "demo": ("messages", "cycle", "rtarm"),
     "tools": ("messages", "rtarm", "tools"),
+    "control": ("cycle", "rtarm", "tools", "functions"),
     "all": ("messages", "cycle", "rtarm", "tools", "functions"),
 }
 """The steps that each purpose needs, beside those that these need."""
 COMPILED = ("compilation/*.py", "config/*.py", "config/drives/*.py", "motion/**/*.py", "shm/**/*.py", "rtloop/**/*.py")
 INTERFACES = ("rtarm_interfaces/**/*",)
+WHEELS_OF_ROS = "x86_64"
+"""The processor that ROS 2 has wheels for."""
+LACKING = {"aarch64": ("toppra",)}
+"""Of which tools a processor has no wheels; `rtarm teach` and its tests need toppra."""
 
 # pip does not look for what is missing: the lock is complete. Byte code is made of what is used, when it is used.
 INSTALL = ("install", "--quiet", "--no-deps", "--no-compile", "--no-build-isolation", "--disable-pip-version-check")
@@ -44,7 +50,13 @@ INSTALL = ("install", "--quiet", "--no-deps", "--no-compile", "--no-build-isolat
 def locked(*sections: str) -> list[str]:
     """The pins of some sections of the lock."""
     found = dict(re.findall(r"^# --- (\w+):.*\n((?:[^#\n].*\n)*)", LOCK.read_text(encoding="utf-8"), re.MULTILINE))
-    return [line for section in sections for line in found[section].split()]
+    return [line for section in sections for line in found[section].splitlines()]
+
+
+def tools() -> list[str]:
+    """The pins of the tools that this processor has wheels of."""
+    lacking = LACKING.get(platform.machine(), ())
+    return [pin for pin in locked("tools") if pin.partition("==")[0] not in lacking]
 
 
 def ros_is_sourced() -> bool:
@@ -58,7 +70,7 @@ def steps_of(venv: Path, sourced: bool) -> list[Step]:
     """All steps, each after those that it needs."""
     python = str(venv / "bin" / "python")
     pip = [str(venv / "bin" / "pip"), *INSTALL]
-    ros = [] if sourced or platform.machine() != "x86_64" else ["ros"]
+    ros = [] if sourced or platform.machine() != WHEELS_OF_ROS else ["ros"]
     # Set by the ROS wheels inside a Python of theirs: an inherited one would make ours skip its library path.
     environment = {name: value for name, value in os.environ.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
 
@@ -74,7 +86,7 @@ def steps_of(venv: Path, sourced: bool) -> list[Step]:
         ),
         step("compiler", "packages of the compiler", 7, [*pip, *locked("cycle")], needs=["python"]),
         step(
-            *("packages", f"other packages, ROS 2 from {'wheels' if ros else 'the installation'}", 15),
+            *("packages", f"other packages{', ROS 2 from wheels' if ros else ''}", 15),
             # Those that come as source are built with setuptools.
             [*pip, *locked("rtarm", *ros)],
             needs=["python", "compiler"],
@@ -82,7 +94,7 @@ def steps_of(venv: Path, sourced: bool) -> list[Step]:
         step("cycle", "the control cycle", CYCLE_S, [python, "-m", "rtloop.warm"], needs=["compiler"]),
         step("rtarm", "rtarm itself", 3, [*pip, "--editable", str(ROOT)], needs=["packages"]),
         step("messages", "ROS messages", MESSAGES_S, [python, "-m", "rtarm_interfaces.build"], needs=["packages"]),
-        step("tools", "packages of tests and documentation", 30, [*pip, *locked("tools")], needs=["rtarm"]),
+        step("tools", "packages of tests and documentation", 30, [*pip, *tools()], needs=["rtarm"]),
         step(
             *("functions", "the cycle's functions one by one, for tests", 70),
             [python, "tests/compiling.py"],
@@ -150,6 +162,16 @@ def refusal() -> str | None:
     return None
 
 
+def lacks_ros(purpose: str, sourced: bool) -> str | None:
+    """Why the message types of a purpose cannot be made here, and what to do."""
+    if sourced or platform.machine() == WHEELS_OF_ROS or "messages" not in PURPOSES[purpose]:
+        return None
+    return (
+        f"ROS 2 has no wheels for {platform.machine()}, and `{purpose}` needs ROS: source a ROS 2 Jazzy installation "
+        "and run make again, or run 'python3 packaging/environment.py control' for what needs no ROS."
+    )
+
+
 def say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
@@ -167,6 +189,9 @@ def main() -> int:
         signal.signal(number, lambda caught, _: sys.exit(128 + caught))
     fcntl.flock(os.open(ROOT, os.O_RDONLY), fcntl.LOCK_EX)  # one at a time; it falls with this process
     sourced = ros_is_sourced()
+    if why := lacks_ros(options.purpose, sourced):
+        say(why)
+        return 1
     steps = steps_of(venv, sourced)
     stamps = stamps_of(steps, f"{sys.version} {sourced}")
     folder = venv / "stamps"

@@ -16,8 +16,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LOCK = ROOT / "constraints.txt"
-OLDEST_PYTHON = "3.11.5"
-"""The extensions of the documentation's site need so much of 3.11."""
+OLDEST_PYTHON = "3.11.2"
+"""That of Debian 12, and of the Raspberry Pi OS made of it."""
 COMPILES = {"numba", "numpy", "pydantic", "pyyaml"}
 WORDS = {
     "cycle": "what compiles the control cycle",
@@ -26,6 +26,7 @@ WORDS = {
     "tools": "all other extras: tests, checks, documentation, pictures",
 }
 """The sections, in their order."""
+_PIN = re.compile(r"^(\S+)==(\S+)(?: ; .*?(platform_machine [!=]= '\w+'))?", re.MULTILINE)
 HEAD = "# The exact versions that rtarm is tested with, the same for Python 3.11, 3.12 and 3.13; made by `make lock`.\n"
 
 
@@ -45,7 +46,10 @@ def sections() -> dict[str, set[str]]:
 
 
 def resolved(requirements: Iterable[str], pinned: str) -> dict[str, str]:
-    """Name and version of everything that these requirements lead to, on any supported Python."""
+    """Name and version of everything that these requirements lead to, on any supported Python.
+
+    What only some processors need has the marker that says so behind its version: others have no wheel of it.
+    """
     with tempfile.TemporaryDirectory() as folder:
         found = Path(folder, "found.txt")
         found.write_text(pinned, encoding="utf-8")  # which uv keeps to where it can
@@ -53,9 +57,9 @@ def resolved(requirements: Iterable[str], pinned: str) -> dict[str, str]:
         command += ["--python-version", OLDEST_PYTHON, "--no-annotate", "--no-header", "--output-file", str(found), "-"]
         wanted = "\n".join(sorted(requirements))
         subprocess.run(command, cwd=ROOT, input=wanted, text=True, check=True)
-        pins = re.findall(r"^(\S+)==(\S+)", found.read_text(encoding="utf-8"), re.MULTILINE)
-        assert len(dict(pins)) == len(pins), "one package has two versions, for which constraints.txt has no place"
-        return dict(pins)
+        pins = _PIN.findall(found.read_text(encoding="utf-8"))
+        assert len({name for name, _, _ in pins}) == len(pins), "one package has two versions: constraints.txt has one"
+        return {name: version + (f"; {marker}" if marker else "") for name, version, marker in pins}
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 import os
+import platform
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
@@ -186,15 +187,18 @@ def _needs_no_bus(arm_argument: str) -> bool:
 def check_ros() -> None:
     """Refuse, with what to install, where the ROS process could not start; at first use, make what can be made."""
     if not has_module("rclpy"):
-        raise Refusal(
-            "rclpy is not installed, and the ROS process needs it: run `make env` in a clone, install the wheel with "
-            "its extra `ros`, or source a ROS 2 installation, then start again."
-        )
+        raise Refusal(f"rclpy is not installed, and the ROS process needs it: {_rclpy_remedy()}, then start again.")
     if not generated_types() and not has_module("control_msgs"):
         raise Refusal(
             "control_msgs is not installed, and the ROS process needs it: generate it with `python -m "
             "rtarm_interfaces.build`, or install it with your ROS 2, then start again."
         )
+
+
+def _rclpy_remedy() -> str:
+    if platform.machine() != "x86_64":
+        return f"source a ROS 2 Jazzy installation, since ROS has no wheels for {platform.machine()}"
+    return "run `make env` in a clone, install the wheel with its extra `ros`, or source a ROS 2 installation"
 
 
 def generated_types() -> bool:

@@ -163,6 +163,11 @@ NOT_RUN: dict[str, str] = {
     "python -m pytest *": "is what runs this",
     "cp -r examples/nemo/. .": "tests/docs/test_add_a_drive.py, in a copy of the tree",
     "sed * config/arms/odrive6.yaml > config/arms/nemo6.yaml": "tests/docs/test_add_a_drive.py",
+    "python -m rtloop.warm": "packaging/arm64.py runs what the section on ARM64 shows",
+    "python -m rtloop mock": "the same",
+    "rtarm * mock": "the same",
+    "rtarm record mock -o mock.mcap": "the same",
+    "rtarm explain mock.mcap": "the same",
     "rtarm config check nemo6": "tests/docs/test_add_a_drive.py",
 }
 """Patterns (fnmatch) of commands that are not run here, and why."""

@@ -116,6 +116,17 @@ def test_the_cycle_is_compiled_while_messages_are_generated(
         assert f"{step}, about N s …\n" in said and f"{step}, N s\n" in said
 
 
+@pytest.mark.parametrize(("machine", "remedy"), [("x86_64", "make env"), ("aarch64", "no wheels for aarch64")])
+def test_where_rclpy_is_missing_what_can_be_done_there_is_said(
+    monkeypatch: pytest.MonkeyPatch, machine: str, remedy: str
+) -> None:
+    monkeypatch.setattr(launcher, "has_module", lambda _: False)
+    monkeypatch.setattr(launcher.platform, "machine", lambda: machine)
+    with pytest.raises(Refusal) as refused:
+        launcher.check_ros()
+    assert remedy in str(refused.value)
+
+
 def test_what_fails_ends_the_compiler_beside_it(monkeypatch: pytest.MonkeyPatch, fresh_cache: Path) -> None:
     lacking_everything(monkeypatch)
     monkeypatch.setattr(first_use, "COMPILER", ("-c", "import time; time.sleep(1000)"))

@@ -176,6 +176,30 @@ def test_a_python_that_is_too_old_is_one_sentence(monkeypatch: pytest.MonkeyPatc
     assert "rtarm needs Python 3.11 to 3.13" in environment.refusal()
 
 
+def test_where_ros_has_no_wheels_a_purpose_that_needs_ros_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(environment.platform, "machine", lambda: "aarch64")
+    why = environment.lacks_ros("all", False)
+    assert "no wheels for aarch64" in why and "source a ROS 2 Jazzy installation" in why
+    assert environment.lacks_ros("all", True) is None
+    assert environment.lacks_ros("control", False) is None
+    monkeypatch.setattr(environment.platform, "machine", lambda: "x86_64")
+    assert environment.lacks_ros("all", False) is None
+
+
+def test_what_a_processor_has_no_wheels_of_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a marker in the lock where a package says so itself, else by name."""
+    monkeypatch.setattr(environment.platform, "machine", lambda: "aarch64")
+    wanted = [Requirement(pin) for step in steps_for("control", sourced=False) for pin in argued(step)]
+    names = {of.name for of in wanted if of.marker is None or of.marker.evaluate({"platform_machine": "aarch64"})}
+    assert names >= {"numba", "pydantic-core", "mcap", "pytest"}
+    assert not names & {"embreex", "toppra"}
+    assert not [name for name in names if name.startswith("ros-")]
+
+
+def argued(step: Step) -> list[str]:
+    return [argument for command in step.commands for argument in command if "==" in argument]
+
+
 def test_an_interrupted_or_repeated_call_does_only_what_is_missing(tmp_path: Path) -> None:
     """The program itself, where all but one step has a stamp that is right."""
     venv = tmp_path / "env"
