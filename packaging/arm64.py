@@ -32,7 +32,9 @@ OF_THIS_MACHINE = ("/etc/resolv.conf", "/etc/pip.conf", "/etc/ssl/certs/ca-certi
 PIPS_OWN = Path(".config", "pip", "pip.conf")
 """How pip reaches its index is the machine's affair."""
 
-APART = """
+APART = ("setpriv", "--pdeathsig", "KILL", "unshare", "--mount-proc", "--pid", "--fork", "--kill-child")
+"""What a command's mounts and processes are its own with: the kernel takes them away when it ends, however it does."""
+ENTER = """
 mount -t proc proc "$0/proc"
 mount -t tmpfs -o mode=1777 tmpfs "$0/dev/shm"
 mount -t devpts -o newinstance,ptmxmode=0666 devpts "$0/dev/pts"
@@ -65,8 +67,8 @@ def refusal() -> str | None:
     """What this machine lacks, in one sentence."""
     if os.geteuid() != 0:
         return "A userland is mounted and entered by root alone: run this again as root."
-    if shutil.which("debootstrap") is None or shutil.which("unshare") is None:
-        return "debootstrap or unshare is missing: run 'apt-get install debootstrap util-linux'."
+    if shutil.which("debootstrap") is None:
+        return "debootstrap is missing: run 'apt-get install debootstrap'."
     if not BINFMT.exists() or not BINFMT.read_text(encoding="ascii").startswith("enabled"):
         return (
             f"The kernel has no qemu for ARM64 programs ({BINFMT} is not enabled): run 'apt-get install "
@@ -112,16 +114,13 @@ def make_userland() -> None:
 
 
 def run(command: list[str], environment: Mapping[str, str] | None = None) -> None:
-    """Run a command; raises Failed."""
-    if code := subprocess.run(command, env=environment, check=False).returncode:
+    """Run a command, of which no process and no mount is left behind; raises Failed."""
+    if code := subprocess.run([*APART, *command], env=environment, check=False).returncode:
         raise Failed(f"'{' '.join(command[:3])} …' ended with code {code}; what it said stands above.")
 
 
 def inside(script: str, *, home: str = "/root", folder: str = TREE) -> None:
-    """Run a shell script in the userland; raises Failed.
-
-    Its mounts and processes are the script's own: the kernel takes them away when it ends, however that comes about.
-    """
+    """Run a shell script in the userland; raises Failed."""
     kept = {key: value for key, value in os.environ.items() if key.startswith(("PIP_", "SSL_")) or "proxy" in key}
     environment = kept | {
         "HOME": home,
@@ -130,8 +129,7 @@ def inside(script: str, *, home: str = "/root", folder: str = TREE) -> None:
         "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
         "XDG_CACHE_HOME": "/root/.cache",
     }
-    apart = ["setpriv", "--pdeathsig", "KILL", "unshare", "--mount", "--pid", "--fork", "--kill-child"]
-    run([*apart, "sh", "-ec", APART, str(USERLAND), "bash", "-ec", f"cd {folder}\n{script}"], environment)
+    run(["sh", "-ec", ENTER, str(USERLAND), "bash", "-ec", f"cd {folder}\n{script}"], environment)
 
 
 def copy_tree() -> None:
