@@ -157,7 +157,7 @@ def run_tests() -> None:
 
 
 def compare_transcripts() -> None:
-    inside(f"PYTHONPATH=tests {VENV}/bin/python -m transcripts --jobs 2")
+    inside(f"PYTHONPATH=tests {VENV}/bin/python -m transcripts --exact --jobs 2")
 
 
 def commands_of_page() -> list[str]:

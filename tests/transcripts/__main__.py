@@ -44,6 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m transcripts", description=__doc__.splitlines()[0])
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="only these; * stands for anything")
     parser.add_argument("--record", action="store_true", help="record anew instead of comparing")
+    parser.add_argument(
+        "--exact", action="store_true", help="let no float differ, elsewhere than where it was recorded"
+    )
     parser.add_argument("--list", action="store_true", help="name the scenarios")
     parser.add_argument("--jobs", type=int, default=1, help="processes at once")
     parser.add_argument("--data", type=Path, default=store.FOLDER, help="folder of the recordings")
@@ -62,9 +65,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.record:
         given.data.mkdir(parents=True, exist_ok=True)
         names = [name for name in names if name in SCENARIOS]
+    work = partial(recorded, given.data) if given.record else partial(compared, given.data, exact=given.exact)
     began = time.monotonic()
     verdicts: Counter[Verdict] = Counter()
-    for finding in findings_of(partial(recorded if given.record else compared, given.data), names, given.jobs):
+    for finding in findings_of(work, names, given.jobs):
         verdicts[finding.verdict] += 1
         if finding.verdict != Verdict.SAME:
             print(finding.sentence, flush=True)

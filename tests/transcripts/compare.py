@@ -56,8 +56,11 @@ def this_place() -> dict[str, str]:
     return place | {name: version(name) for name in LIBRARIES}
 
 
-def compare(scenario: str, was: Transcript, now: Transcript) -> Finding:
-    """Hold what a scenario shows now, with every word of every cycle, against its recording."""
+def compare(scenario: str, was: Transcript, now: Transcript, *, exact: bool = False) -> Finding:
+    """Hold what a scenario shows now, with every word of every cycle, against its recording.
+
+    With `exact` no float may differ, wherever the recording was made.
+    """
     if not now.sent:
         return Finding(scenario, Verdict.DIFFERS, f"{scenario} broke off before its first cycle: {now.broke_off}")
     elsewhere = "; ".join(
@@ -65,8 +68,9 @@ def compare(scenario: str, was: Transcript, now: Transcript) -> Finding:
         for name, value in now.place.items()
         if was.place.get(name) != value
     )
-    differences, rounded = _word_differences(was, now, TOLERANCE if elsewhere else 0.0)
-    differences += _told_difference(was.told, now.told, TOLERANCE if elsewhere else 0.0)
+    tolerance = TOLERANCE if elsewhere and not exact else 0.0
+    differences, rounded = _word_differences(was, now, tolerance)
+    differences += _told_difference(was.told, now.told, tolerance)
     differences += _sent_difference(was.sent, now.sent)
     differences += _end_difference(was, now)
     if not differences:

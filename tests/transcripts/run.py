@@ -15,7 +15,7 @@ def heard(name: str) -> Transcript:
     return transcript
 
 
-def compared(folder: Path, name: str) -> Finding:
+def compared(folder: Path, name: str, *, exact: bool = False) -> Finding:
     """Play a scenario and hold it against its recording."""
     path = folder / f"{name}{store.SUFFIX}"
     if not path.exists():
@@ -26,7 +26,7 @@ def compared(folder: Path, name: str) -> Finding:
         recorded = store.read(path)
     except ValueError as problem:
         return Finding(name, Verdict.DIFFERS, f"{name}: {problem}")
-    return compare(name, recorded, heard(name))
+    return compare(name, recorded, heard(name), exact=exact)
 
 
 def recorded(folder: Path, name: str) -> Finding:

@@ -272,6 +272,12 @@ def test_elsewhere_what_may_follow_from_rounding_is_unsure_and_what_comes_before
     assert f"cycle {CYCLE - 2} " in difference(was, elsewhere)
 
 
+def test_elsewhere_no_float_may_differ_where_that_is_asked_for(was: Transcript, elsewhere: Transcript) -> None:
+    assert compare("goal-small", was, elsewhere, exact=True).verdict == Verdict.SAME
+    nudge(elsewhere, NAME, CYCLE)
+    assert compare("goal-small", was, elsewhere, exact=True).verdict == Verdict.DIFFERS
+
+
 # --- the command -----------------------------------------------------------------------------------------------
 
 
