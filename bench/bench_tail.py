@@ -38,7 +38,7 @@ from rtarm.why_late.watch import Cycle, Late
 from shm.histogram import percentiles_ns
 
 ROUNDS = int(os.environ.get("RTARM_TAIL_ROUNDS", "30"))
-SLICE_S = 3
+SLICE_S = 2
 BOUND_US = 100
 PRIORITY = 80
 CPU = max(os.sched_getaffinity(0))
