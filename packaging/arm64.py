@@ -24,7 +24,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 USERLAND = Path(os.environ.get("RTARM_ARM64") or Path.home() / ".cache" / "rtarm-arm64").resolve()
-TREE, VENV, ON_PAGE = "/root/rtarm", "/root/venv", "/root/page"
+TREE, VENV, ON_PAGE = "/opt/rtarm", "/opt/venv", "/opt/page"
 """Inside: the copy of this tree, the environment of its tests, and the home of who follows the page."""
 BINFMT = Path("/proc/sys/fs/binfmt_misc/qemu-aarch64")
 PACKAGES = ("ca-certificates", "python3", "python3-venv", "python3-dev", "gcc", "g++")
@@ -109,8 +109,8 @@ def make_userland() -> None:
         if Path(path).exists():
             shutil.copy(path, USERLAND / path[1:])
     if (Path.home() / PIPS_OWN).exists():
-        (USERLAND / "root" / PIPS_OWN).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(Path.home() / PIPS_OWN, USERLAND / "root" / PIPS_OWN)
+        (USERLAND / "opt" / PIPS_OWN).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(Path.home() / PIPS_OWN, USERLAND / "opt" / PIPS_OWN)
 
 
 def run(command: list[str], environment: Mapping[str, str] | None = None) -> None:
@@ -119,7 +119,7 @@ def run(command: list[str], environment: Mapping[str, str] | None = None) -> Non
         raise Failed(f"'{' '.join(command[:3])} …' ended with code {code}; what it said stands above.")
 
 
-def inside(script: str, *, home: str = "/root", folder: str = TREE) -> None:
+def inside(script: str, *, home: str = "/opt", folder: str = TREE) -> None:
     """Run a shell script in the userland; raises Failed."""
     kept = {key: value for key, value in os.environ.items() if key.startswith(("PIP_", "SSL_")) or "proxy" in key}
     environment = kept | {
@@ -127,7 +127,7 @@ def inside(script: str, *, home: str = "/root", folder: str = TREE) -> None:
         "LANG": "C.UTF-8",
         "PIP_QUIET": "1",
         "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
-        "XDG_CACHE_HOME": "/root/.cache",
+        "XDG_CACHE_HOME": "/opt/cache",
     }
     run(["sh", "-ec", ENTER, str(USERLAND), "bash", "-ec", f"cd {folder}\n{script}"], environment)
 

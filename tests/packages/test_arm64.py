@@ -67,7 +67,7 @@ def test_a_command_that_fails_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_tree_goes_in_with_its_times() -> None:
     arm64.copy_tree()
-    copied = arm64.USERLAND / "root" / "rtarm" / "rtloop" / "warm.py"
+    copied = arm64.USERLAND / "opt" / "rtarm" / "rtloop" / "warm.py"
     assert copied.stat().st_mtime == (ROOT / "rtloop" / "warm.py").stat().st_mtime
 
 
