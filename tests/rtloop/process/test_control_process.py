@@ -266,10 +266,13 @@ def locked(address):
 
 
 def test_all_that_the_c_library_reads_is_locked_with_it():
-    """Its code, its variables without and with a beginning, the loader's that it looks at, and libm's code."""
+    """Its code, its variables without and with a beginning, the loader's that it looks at, and libm's code.
+
+    They are looked for in the library: a Python at a fixed address, such as Debian's, has copies of these variables.
+    """
     program = f"""{MAPPING}
 realtime.prepare_process([])
-libc, libm = ctypes.CDLL(None), ctypes.CDLL("libm.so.6")
+libc, libm = ctypes.CDLL("libc.so.6"), ctypes.CDLL("libm.so.6")
 variables = [ctypes.addressof(ctypes.c_char.in_dll(libc, name)) for name in ("environ", "stdout", "_rtld_global_ro")]
 code = [ctypes.cast(function, ctypes.c_void_p).value for function in (libc.clock_gettime, libm.floor)]
 print(*[locked(address) for address in variables + code])
