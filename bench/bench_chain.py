@@ -60,18 +60,6 @@ class GoalEnded(Exception):
     """The goal whose execution was to be watched ended; the text says with what."""
 
 
-class Heard(Listener):
-    """A listener that also remembers when its callback had each message, CLOCK_MONOTONIC ns."""
-
-    def __init__(self, node, topic: str) -> None:
-        self.called_ns: list[int] = []
-        super().__init__(node, topic)
-
-    def _hear(self, data: bytes, info: dict) -> None:
-        self.called_ns.append(time.monotonic_ns())
-        super()._hear(data, info)
-
-
 def epoch_offset_ns() -> int:
     return time.time_ns() - time.monotonic_ns()
 
@@ -132,7 +120,7 @@ def measure(folder: Path, rate_hz: float, settings: Settings) -> SimpleNamespace
     found = SimpleNamespace()
     with live(folder, settings=settings) as stack:
         found.goals = play_goals(stack, 1 / rate_hz)
-        found.heard = Heard(stack.client.node, "joint_states")
+        found.heard = Listener(stack.client.node, "joint_states")
         until(lambda: found.heard.heard, "a message")
         watcher = Watcher(stack, round(WINDOW_S * rate_hz))
         stack.client.send(goal_to(commanded_rad(stack) - AWAY_RAD, WINDOW_S + 6.0))
@@ -178,8 +166,8 @@ def test_chain(benchmark, report, tmp_path, speed):
 
     row_of = {stamp: row for row, stamp in enumerate(rows["stamp_ns"].tolist())}
     matched = [
-        (row_of[stamp], received - offset_ns, called)
-        for (stamp, received), called in zip(heard.heard, heard.called_ns, strict=True)
+        (row_of[stamp], received - offset_ns, called - offset_ns)
+        for stamp, received, called in heard.heard
         if stamp in row_of
     ]
     at, received_ns, called_ns = np.array(matched).T

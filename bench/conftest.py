@@ -69,10 +69,10 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
             terminalreporter.write_line(f"{what:<58} {figure}")
     folder = config.getoption("--keep")
     if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
         for module, tests in _TOLD.items():
-            (folder / f"{module}.json").write_text(
-                json.dumps(_kept(module, tests), indent=1, ensure_ascii=False) + "\n"
-            )
+            written = json.dumps(_kept(module, tests), indent=1, ensure_ascii=False)
+            (folder / f"{module}.json").write_text(f"{written}\n", encoding="utf-8")
 
 
 def _kept(module: str, tests: dict[str, list[tuple[str, str]]]) -> dict[str, Any]:
