@@ -155,6 +155,7 @@ NOT_RUN: dict[str, str] = {
     "rtarm calibrate ./my_arm.yaml --joint joint6": "the same as with joint5",
     "rtarm calibrate ./my_arm.yaml --channel ./tty": "the same as without, my_arm.yaml names the adapter already",
     "rtarm bench --quick": "a minute in which nothing else may run: tests/rtarm/bench/test_bench.py",
+    "RTARM_TAIL_ROUNDS=30 python -m pytest bench/bench_tail.py": "twenty minutes in which nothing else may run",
     "rtarm demo --arm *my_arm.yaml": "the same as rtarm demo; tests/rtarm/launch/test_up_processes.py runs others",
     "rtarm demo --arm *6*": "tests/rtarm/test_other_families.py runs each family",
     "rtarm reference joint1=-178 joint3=-81 joint4=-27 joint6=-24": "of an arm whose drives have lost power: "
