@@ -9,7 +9,6 @@ cycles that no cache holds anything of ours. A cycle that wakes from a sleep lie
 turns, everything in the caches, each at the rate of its own arm.
 """
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -18,7 +17,7 @@ from many_cycles import Recording, RecordingArm
 from virtual import recorded_goal
 
 from config.loader import known_arms, load_arm
-from shm.words import Answer, Outcome, Request
+from shm.words import Outcome
 
 GOAL = "large"
 ARMS = [name for name in known_arms() if name != "mock"]
@@ -68,11 +67,7 @@ def played(name: str) -> Recording:
     """An arm that comes with rtarm, its goal played once."""
     arm = RecordingArm(load_arm(name), start_rad=recorded_goal(GOAL)["joints"][0, :, 0])
     assert arm.bring_up().failure is None
-    axes = arm.loop[0]["axes"][: len(arm.arm.joints)]
-    unknown = sum(1 << n for n, axis in enumerate(axes) if not axis["reference"]["referenced"])
-    if unknown:
-        assert arm.ask(Request.REFERENCE, joint_mask=unknown, value=math.nan) == Answer.DONE
-        arm.reference()
+    arm.reference_all()
     return Recording(arm, arm.play(GOAL))
 
 
@@ -82,9 +77,7 @@ def test_families(benchmark, report):
 
     def take_turns():
         for name, recording in recordings.items():
-            recording.rewind()
-            recording.play()
-            cost_us[name].append(float(np.median(recording.durations_ns)) / 1000)
+            cost_us[name].append(recording.median_us())
 
     benchmark.pedantic(take_turns, rounds=TURNS)
     benchmark.extra_info.update(cost_us)

@@ -7,8 +7,6 @@ every cycle, whatever share of the bus that takes: the limit of the load (`bus.l
 the simulated bus really carries each bit.
 """
 
-import math
-
 import numpy as np
 import pytest
 from virtual import VirtualArm, recorded_goal
@@ -16,7 +14,7 @@ from virtual import VirtualArm, recorded_goal
 from config.budget import budget
 from config.loader import known_arms, load_arm
 from config.schema import ArmConfig
-from shm.words import Answer, Outcome, Request
+from shm.words import Outcome
 
 ARMS = [name for name in known_arms() if name != "mock"]
 STEP_HZ = 5.0
@@ -35,11 +33,7 @@ def carries(name: str, rate_hz: float) -> bool:
     try:
         if arm.bring_up().failure is not None:
             return False
-        unknown = sum(1 << n for n in range(6) if not arm.loop[0]["axes"][n]["reference"]["referenced"])
-        if unknown and (arm.ask(Request.REFERENCE, joint_mask=unknown, value=math.nan) != Answer.DONE):
-            return False
-        if unknown:
-            arm.reference()
+        arm.reference_all()
         goal, started = arm.play(GOAL), arm.loop[0]["axes"]["measured"]["readings"][:6].copy()
         cycles = 0
         while arm.outcome(goal) == Outcome.NONE:

@@ -32,6 +32,7 @@ from stack import Process
 
 from rtarm.running.requests import clear_fault
 from rtarm.running.tracking import Window
+from rtarm.why_late.watch import stolen_ns
 from shm.histogram import percentiles_ns, upper_ns
 from shm.words import Mode
 
@@ -64,15 +65,6 @@ def threads_of(process: Process) -> dict[int, dict[str, int]]:
 def counted(before: dict, after: dict, chosen: list[int]) -> dict[str, int]:
     """What was counted of some threads between two looks."""
     return {name: sum(after[task][name] - before[task][name] for task in chosen) for name in COUNTS}
-
-
-def stolen_s(cpu: int) -> float:
-    """Seconds for which the host gave a processor to others, as far as it says so."""
-    for line in Path("/proc/stat").read_text().splitlines():
-        name, *ticks = line.split()
-        if name == f"cpu{cpu}":
-            return int(ticks[7]) / os.sysconf("SC_CLK_TCK")
-    raise AssertionError(f"no processor {cpu}")
 
 
 class Player:
@@ -143,12 +135,12 @@ def measure(folder: Path, cpu: int, mock_hz: float | None, settings: dict) -> Si
                     spike_us=found.period_ns // 4000,
                 )
                 closers.append(found.cyclic.close)
-            found.usage, found.threads, stolen = [Usage(stack.loop)], [threads_of(stack.loop)], stolen_s(cpu)
+            found.usage, found.threads, stolen = [Usage(stack.loop)], [threads_of(stack.loop)], stolen_ns(cpu)
             window, found.begun_ns = Window(stack.reader), time.monotonic_ns()
             time.sleep(STEADY_S)
             found.usage.append(Usage(stack.loop))
             found.threads.append(threads_of(stack.loop))
-            found.stolen_s = stolen_s(cpu) - stolen
+            found.stolen_s = (stolen_ns(cpu) - stolen) * 1e-9
             found.counters, found.ended_ns = window.counters()[0], time.monotonic_ns()
             found.histograms = {name: window.histogram(name) for name in ("lateness", "cycle_time")}
             witness.line_with("done")

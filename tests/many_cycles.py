@@ -154,3 +154,9 @@ class Recording:
             self.durations_ns,
             self.others,
         )
+
+    def median_us(self) -> float:
+        """Median of the cycles' computing time (µs) when the goal is executed once more."""
+        self.rewind()
+        self.play()
+        return float(np.median(self.durations_ns)) / 1000

@@ -354,6 +354,14 @@ class VirtualArm:
         self.cycles(2)
         return talk
 
+    def reference_all(self) -> None:
+        """Tell the joints that do not know their angle that it is where they stand, as a person would."""
+        axes = self.loop[0]["axes"][: len(self.arm.joints)]
+        unknown = sum(1 << number for number, axis in enumerate(axes) if not axis["reference"]["referenced"])
+        if unknown:
+            assert self.ask(Request.REFERENCE, joint_mask=unknown, value=math.nan) == Answer.DONE
+            self.reference()
+
     # --- goals
 
     def _feed_ring(self) -> None:

@@ -107,15 +107,6 @@ class _Thread:
     held_back: bool = False
 
 
-def divide(
-    events: Sequence[Event], tid: int, start_ns: int, end_ns: int, *, runs: bool = False, slept_by_ns: int | None = None
-) -> list[Segment]:
-    """The causes of one interval of a thread, as `Divider` says; it is due at the start, unless it runs there."""
-    if slept_by_ns is None:
-        slept_by_ns = NEVER_NS if runs else start_ns
-    return Divider(events, tid).divide(start_ns, end_ns, runs=runs, slept_by_ns=slept_by_ns)
-
-
 class Divider:
     """Divides intervals of a thread by the same events, which are in the order of time."""
 

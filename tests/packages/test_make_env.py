@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import importlib.util
 import os
 import re
 import subprocess
@@ -11,28 +10,18 @@ import sys
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from programs import ROOT, program
 
 from rtarm.launch.steps import Step, StepFailed, run
 
-ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
-def program() -> ModuleType:
-    """packaging/environment.py, which is no package of ours."""
-    spec = importlib.util.spec_from_file_location("environment", ROOT / "packaging" / "environment.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-environment = program()
+environment = program("environment")
 
 
 def pins(steps: Iterable[Step]) -> set[str]:

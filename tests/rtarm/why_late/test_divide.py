@@ -7,11 +7,12 @@ from itertools import pairwise
 
 import pytest
 from depth import examples
+from dividing import divide
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtarm.why_late.causes import Cause
-from rtarm.why_late.divide import FAULT_NS, HELD_BACK, STILL_NS, Segment, divide, stood_still
+from rtarm.why_late.divide import FAULT_NS, HELD_BACK, STILL_NS, Segment, stood_still
 from rtarm.why_late.events import (
     Enter,
     Event,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 from depth import examples
+from dividing import divide
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtarm.why_late.causes import Cause
-from rtarm.why_late.divide import divide
 from rtarm.why_late.events import (
     Enter,
     Event,
