@@ -12,10 +12,9 @@ divided into causes as `rtarm why-late` does.
 from __future__ import annotations
 
 import os
-import subprocess
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,14 +26,14 @@ pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
 from live import commanded_rad, goal_to, live
+from planted_trials import impossible
+from slices import under_load
 
-from rtarm.bench.lateness import figures_us, merged, recorded
-from rtarm.bench.load import SETTLE_S, command
+from rtarm.bench.lateness import as_pairs, figures_us, merged, recorded
 from rtarm.running.tracking import Window
 from rtarm.why_late.report import causes_of
 from rtarm.why_late.run import beside, watching
-from rtarm.why_late.tracefs import NotTraced, place
-from rtarm.why_late.watch import Cycle, Late
+from rtarm.why_late.watch import LOOK_S, MOST_A_LOOK, Cycle, Late
 from shm.histogram import percentiles_ns
 
 ROUNDS = int(os.environ.get("RTARM_TAIL_ROUNDS", "30"))
@@ -44,7 +43,10 @@ PRIORITY = 80
 CPU = max(os.sched_getaffinity(0))
 PERCENTS = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
 DRAWN = 2000
+WIDTH = 0.035
+"""Of a bucket of the histograms, by which a slice's latest wake-up is known, and of the whole µs that cyclictest tells."""
 LOADS = ("idle", "loaded")
+TRACED = not impossible()
 
 pytestmark = pytest.mark.skipif(not cyclictest.installed(), reason=cyclictest.ABSENT)
 
@@ -57,37 +59,16 @@ class Slice(NamedTuple):
 
 
 class Overslept:
-    """The late wake-ups of a cyclictest, which tells them when it has ended."""
+    """The late wake-ups of a cyclictest, told when it has ended: a few at each look, so that all are divided."""
 
     def __init__(self, period_ns: int) -> None:
         self.period_ns = period_ns
         self.told: list[Cycle] = []
 
     def new(self) -> list[Cycle]:
-        found, self.told = self.told, []
+        found = self.told[:MOST_A_LOOK]
+        del self.told[:MOST_A_LOOK]
         return found
-
-
-def may_trace() -> bool:
-    try:
-        place()
-    except NotTraced:
-        return False
-    return True
-
-
-TRACED = may_trace()
-
-
-@contextmanager
-def load(kind: str, folder: Path) -> Iterator[None]:
-    """What keeps the machine busy, if it is to be loaded."""
-    with ExitStack() as stack:
-        if kind == "loaded":
-            busy = stack.enter_context(subprocess.Popen(command(folder)))
-            stack.callback(busy.terminate)
-            time.sleep(SETTLE_S)
-        yield
 
 
 def of_cyclictest(period_ns: int) -> Slice:
@@ -103,6 +84,8 @@ def of_cyclictest(period_ns: int) -> Slice:
             running.end()
             spikes = enumerate(running.spikes_ns.tolist())
             source.told = [Cycle(number, due_ns, woke_ns, None) for number, (due_ns, woke_ns) in spikes]
+            while TRACED and source.told:
+                time.sleep(LOOK_S)
     finally:
         running.close()
     microseconds, counts = running.late_us.T
@@ -129,24 +112,21 @@ def of_rtarm(stack) -> Slice:
     return Slice(lateness, () if watcher is None else tuple(late for late in watcher.late if late.woke))
 
 
+def slices_of(folder: Path, measured: Callable[[], Slice]) -> dict[str, Slice]:
+    """One without and one under load."""
+    return {kind: under_load(folder, measured, wanted=kind == "loaded") for kind in LOADS}
+
+
 def round_of_rtarm(folder: Path, rate_hz: float) -> dict[str, Slice]:
     settings = {"realtime": {"priority": PRIORITY, "cpu": CPU}, "front": {"joint_states_hz": 100}}
     with live(folder, mock_hz=rate_hz, settings=settings) as stack:
         stack.client.send(goal_to(commanded_rad(stack) + 0.3, 4.0 * SLICE_S))
         time.sleep(1.0)
-        found = {}
-        for kind in LOADS:
-            with load(kind, folder):
-                found[kind] = of_rtarm(stack)
-        return found
+        return slices_of(folder, lambda: of_rtarm(stack))
 
 
 def round_of_cyclictest(folder: Path, rate_hz: float) -> dict[str, Slice]:
-    found = {}
-    for kind in LOADS:
-        with load(kind, folder):
-            found[kind] = of_cyclictest(round(1e9 / rate_hz))
-    return found
+    return slices_of(folder, lambda: of_cyclictest(round(1e9 / rate_hz)))
 
 
 def ratio_of(ours: list[Slice], theirs: list[Slice], percent: float) -> tuple[float, float, float]:
@@ -163,13 +143,20 @@ def ratio_of(ours: list[Slice], theirs: list[Slice], percent: float) -> tuple[fl
 
 
 def worst_of(slices: list[Slice]) -> str:
-    """The latest wake-up of all, and what it was mostly."""
-    largest_us = max(int(one.lateness["max_ns"]) for one in slices) / 1000
-    latest = max((late for one in slices for late in one.late), key=lambda late: late.length_ns, default=None)
-    if latest is None:
-        return f"{largest_us:.0f} µs"
+    """The latest wake-up of all, and what it was mostly, if it was traced."""
+    worst = max(slices, key=lambda one: int(one.lateness["max_ns"]))
+    largest_ns = int(worst.lateness["max_ns"])
+    told = f"{largest_ns / 1000:.0f} µs"
+    latest = max(worst.late, key=lambda late: late.length_ns, default=None)
+    if latest is None or abs(latest.length_ns - largest_ns) > WIDTH * largest_ns:  # not traced, or at the slice's edge
+        return told
     segment = max((one for one in latest.segments if one.cause is latest.cause), key=lambda one: one.length_ns)
-    return f"{largest_us:.0f} µs: {latest.cause.value}{f' ({segment.who})' if segment.who else ''}"
+    return f"{told}: {latest.cause.value}{f' ({segment.who})' if segment.who else ''}"
+
+
+def beyond(lateness: np.void) -> int:
+    """How many wake-ups were later than BOUND_US, by the histogram, whose buckets are 3 % wide."""
+    return sum(count for edge_ns, count in as_pairs(lateness) if edge_ns > BOUND_US * 1000)
 
 
 @pytest.mark.benchmark(group="live")
@@ -196,20 +183,21 @@ def test_tail(benchmark, report, tmp_path, rate_hz):
         report(f"{rate_hz:g} Hz, {kind}, {ROUNDS} slices of {SLICE_S} s each, {traced}", "µs p50, p99, p99.9; latest")
         kept = benchmark.extra_info[kind] = {}
         for who, of in slices.items():
-            figures, causes = figures_us(merged(one.lateness for one in of[kind])), []
+            lateness = merged(one.lateness for one in of[kind])
+            figures = figures_us(lateness)
             late = [one for slice_ in of[kind] for one in slice_.late]
-            if late:
-                causes = causes_of(late)
+            causes = causes_of(late) if late else []
             values = ", ".join(f"{figures[name.replace('.', '_')]:.1f}" for name in PERCENTS)
             report(f"  {who}, {figures['count']} wake-ups", f"{values}; {worst_of(of[kind])}")
             of_all = ", ".join(
                 f"{one['cause']} {one['cycles']} ({one['share']:.0%})" for one in causes if one["cycles"]
             )
-            report(f"  {who}: {len(late)} later than {BOUND_US} µs", of_all)
+            report(f"  {who}: {beyond(lateness)} later than {BOUND_US} µs, {len(late)} traced", of_all)
             kept[who] = {
                 "us": figures,
                 "slices_us": [figures_us(one.lateness) for one in of[kind]],
-                "late": len(late),
+                "late": beyond(lateness),
+                "traced": len(late),
                 "causes": causes,
             }
         kept["ratio"] = {}

@@ -5,7 +5,6 @@ RTARM_WHY_LATE_LOAD=1 the machine is kept busy meanwhile, as `rtarm bench` does.
 without and with a watcher, in turn, at 200 Hz and 1 kHz, as `slices` says; RTARM_WHY_LATE_PAIRS says how many (10).
 """
 
-import asyncio
 import os
 import subprocess
 import sys
@@ -13,9 +12,9 @@ import time
 
 import pytest
 from planted_trials import EXPECTED, impossible, mock_arm, planted_in_arm, planted_in_loop
-from slices import SLICE_S, compare, slice_of
+from slices import SLICE_S, compare, slice_of, under_load
 
-from rtarm.bench import load
+from rtarm.bench.load import described
 from rtarm.why_late.causes import Cause
 
 PLANTS = int(os.environ.get("RTARM_WHY_LATE_PLANTS", "60"))
@@ -29,8 +28,9 @@ pytestmark = pytest.mark.skipif(bool(impossible()), reason=impossible())
 
 @pytest.mark.timeout(900)
 def test_planted_causes(report, tmp_path):
-    trials = asyncio.run(planted_trials(tmp_path))
-    report(f"planted {PLANTS} times each", load.described() if LOADED else "no load of ours")
+    # the load is there before the cycle has a processor, so that it uses all of them
+    trials = under_load(tmp_path, lambda: all_planted(tmp_path), wanted=LOADED)
+    report(f"planted {PLANTS} times each", described() if LOADED else "no load of ours")
     columns = [cause for cause in Cause if any(cause in trial.found() for trial in trials)]
     for trial in trials:
         found = ", ".join(f"{cause.value} {trial.found()[cause]}" for cause in columns if trial.found()[cause])
@@ -39,13 +39,8 @@ def test_planted_causes(report, tmp_path):
         report(f"  late beside it, not planted: {len(trial.others)}", others)
 
 
-async def planted_trials(folder):
-    """Every cause in turn; the load is there before the cycle has a processor, so that it uses all of them."""
-    async with load.loaded(folder, wanted=LOADED):
-        return await asyncio.to_thread(all_planted, folder)
-
-
 def all_planted(folder):
+    """Every cause in turn."""
     with mock_arm(folder) as stack:
         trials = [planted_in_arm(stack, cause, PLANTS) for cause in EXPECTED if cause != "pages"]
         return [*trials, planted_in_loop(PLANTS)]

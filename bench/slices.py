@@ -6,16 +6,19 @@ mean); what the machine does by itself is how much neighbouring slices without i
 
 from __future__ import annotations
 
+import asyncio
 import math
 import os
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 from live import LiveStack
 
+from rtarm.bench.load import loaded
 from rtarm.running.status import percentiles_us
 from rtarm.running.tracking import Window
 
@@ -24,6 +27,7 @@ SETTLE_S = 0.5
 FIGURES = ("p50", "p99", "p99_9", "max")
 COMPARED = tuple(f"{what} {name}" for what in ("lateness", "cycle_time") for name in FIGURES)
 
+T = TypeVar("T")
 Slice = dict[str, float]
 Before = tuple[int, Slice]
 """A slice with it, led by the number of the slice without it that came before."""
@@ -40,6 +44,16 @@ def slice_of(stack: LiveStack, during: Callable[[], object] = lambda: time.sleep
         figures = percentiles_us(window.histogram(what))
         found |= {f"{what} {name}": figures[name] for name in FIGURES}
     return found
+
+
+def under_load(folder: Path, work: Callable[[], T], *, wanted: bool) -> T:
+    """What some work gives beside the load of `rtarm bench`, if that is wanted; its files go to the folder."""
+
+    async def done() -> T:
+        async with loaded(folder, wanted=wanted):
+            return await asyncio.to_thread(work)
+
+    return asyncio.run(done())
 
 
 def without_priority(stack: LiveStack) -> None:

@@ -34,10 +34,10 @@ def _section(kept: Mapping[str, Any]) -> Iterator[str]:
 
 def _machine(machine: Mapping[str, Any]) -> str:
     virtual = "virtual machine, " if machine["virtual"] else ""
-    load = ", ".join(f"{one:.2f}" for one in machine["load_average"] or ())
+    load = ", ".join(f"{one:.2f}" for one in machine["load_average"])
     return (
         f"{virtual}{machine['processors']} processors of {machine['processor'] or machine['architecture']}, "
-        f"Linux {machine['kernel']}, load average before {load or 'not kept'}"
+        f"Linux {machine['kernel']}, load average before {load}"
     )
 
 
