@@ -44,7 +44,7 @@ CPU = max(os.sched_getaffinity(0))
 PERCENTS = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
 DRAWN = 2000
 WIDTH = 0.035
-"""Of a bucket of the histograms, by which a slice's latest wake-up is known, and of the whole µs that cyclictest tells."""
+"""Of a bucket of the histograms, by which a slice's latest wake-up is known; cyclictest tells whole µs."""
 LOADS = ("idle", "loaded")
 TRACED = not impossible()
 

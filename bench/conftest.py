@@ -19,8 +19,14 @@ ROOT = Path(__file__).parents[1]
 _FIGURES: dict[str, dict[str, Any]] = {}
 _TOLD: dict[str, dict[str, list[tuple[str, str]]]] = {}
 """By module and test: what was measured, and the sentence about it."""
-_BEFORE = machine()
 
+
+def _git(*arguments: str) -> str:
+    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+
+
+_BEFORE = machine()
+_COMMIT = _git("rev-parse", "--short=12", "HEAD") + (" and changes" if _git("status", "--porcelain") else "")
 
 Report = Callable[[str, str], None]
 
@@ -84,12 +90,8 @@ def _kept(module: str, tests: dict[str, list[tuple[str, str]]]) -> dict[str, Any
         "command": f".venv/bin/python -m pytest bench/{module}.py",
         "settings": {name: value for name, value in sorted(os.environ.items()) if name.startswith("RTARM_")},
         "when": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "commit": _git("rev-parse", "--short=12", "HEAD") + (" and changes" if _git("status", "--porcelain") else ""),
+        "commit": _COMMIT,
         "machine": _BEFORE,
         "versions": versions(),
         "tests": tests,
     }
-
-
-def _git(*arguments: str) -> str:
-    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
