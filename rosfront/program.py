@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
+from config.processors import leave_to_cycle
 from config.schema import ArmConfig
 from rosfront.transport import choose_udp, may_share_memory
 
@@ -161,6 +162,7 @@ def serve(
     """
     # Set before rclpy is imported. Unless the arm file says otherwise, only this machine discovers the arm.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", arm.front.discovery.upper())
+    leave_to_cycle(arm.realtime.cpu)  # before the middleware, which has threads
     start_ros(ros_arguments)
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.utilities import try_shutdown

@@ -11,6 +11,7 @@ import numpy as np
 
 from config.budget import check_budget
 from config.loader import arm_hash
+from config.processors import leave_to_cycle
 from config.schema import ArmConfig
 from rtloop.dialogues.bringup import BringUp
 from rtloop.dialogues.gripper import GripperDialogue
@@ -111,6 +112,7 @@ class ControlProcess:
         try:
             self._claim = claim_for_arm(arm)
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
+            leave_to_cycle(arm.realtime.cpu)  # before the wire, which may have threads
             self._open_wire()
             self._port = ServicePort(self._loop, compiled)
             self._gripper: GripperDialogue | None = None

@@ -1,5 +1,6 @@
 """The front with the real control process behind it, on mock drives."""
 
+import os
 import subprocess
 import sys
 import time
@@ -19,16 +20,18 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from waiting import until
 
 BIG_GOAL_S = 120.0
+CPU = max(os.sched_getaffinity(0))
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.process
 
 
 @pytest.fixture
 def processes(arm_name, tmp_path):
-    """Loop and front of an arm with mock drives, ready."""
+    """Loop and front of an arm with mock drives, ready; the cycle has a processor of its own if there is one."""
     values = yaml.safe_load((ROOT / "config" / "arms" / "mock.yaml").read_text())
     values["name"] = arm_name
     values.setdefault("front", {})["controller_name"] = f"controller_{arm_name}"
+    values["realtime"] = {"cpu": CPU}
     path = tmp_path / "arm.yaml"
     path.write_text(yaml.safe_dump(values))
     started = []
@@ -144,3 +147,17 @@ def test_goals_of_very_many_points_leave_the_running_one_alone(processes, even):
     until(lambda: positions(client)[0] > still + 0.001, "motion of the running goal")
     until(running.cancel_goal_async().done, "the answer to a cancel")
     assert client.result(running)[0] == CANCELED
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one processor for all")
+def test_only_the_cycle_and_its_reader_run_on_the_cycles_processor(processes):
+    """A timer of the front that is armed there would interrupt the cycle about when it wakes up."""
+    _, loop, front = processes
+
+    def there(process):
+        tids = [int(tid) for tid in os.listdir(f"/proc/{process.pid}/task")]
+        return {tid for tid in tids if CPU in os.sched_getaffinity(tid)}
+
+    assert not there(front)
+    assert len(there(loop)) == 1, "a mock arm has no reader"
+    assert loop.pid not in there(loop)
