@@ -227,7 +227,10 @@ class RealtimeConfig(Section):
 
     priority: int = Field(default=80, ge=1, le=90, description="SCHED_FIFO priority (1 to 90).")
     cpu: int | None = Field(
-        default=None, ge=0, le=4095, description="CPU the control cycle is pinned to; left out, any."
+        default=None,
+        ge=0,
+        le=4095,
+        description="CPU of the control cycle alone, which the other threads of both processes keep off; left out, any.",
     )
     require: bool = Field(
         default=False,
