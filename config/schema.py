@@ -230,7 +230,7 @@ class RealtimeConfig(Section):
         default=None,
         ge=0,
         le=4095,
-        description="CPU of the control cycle alone, which the other threads of both processes keep off; left out, any.",
+        description="CPU of the control cycle; other threads of both processes keep off it; left out, any.",
     )
     require: bool = Field(
         default=False,
