@@ -105,11 +105,11 @@ def thread_of(running: cyclictest.Cyclictest) -> int:
 
 
 def of_rtarm(stack) -> Slice:
-    """A slice of the cycle, while a goal runs."""
-    memory = stack.reader.memory
-    with beside(memory, BOUND_US * 1000) if TRACED else nullcontext() as watcher:
-        window = Window(stack.reader)
-        time.sleep(SLICE_S)
+    """A slice of the cycle, while a goal runs; like cyclictest's, it contains the set-up of the trace."""
+    window = Window(stack.reader)
+    ends_s = time.monotonic() + SLICE_S
+    with beside(stack.reader.memory, BOUND_US * 1000) if TRACED else nullcontext() as watcher:
+        time.sleep(max(ends_s - time.monotonic(), 0.0))
         lateness = window.histogram("lateness")
     return Slice(lateness, () if watcher is None else tuple(late for late in watcher.late if late.woke))
 
