@@ -24,6 +24,7 @@ from live import LiveStack, commanded_rad, goal_to, in_words, live, percentiles
 from ros_client import CANCELED, SUCCEEDED
 
 from config.loader import load_arm
+from shm.snapshot import Snapshot
 from shm.words import Outcome
 
 GOALS = 120
@@ -95,12 +96,12 @@ class Timed:
         return times
 
 
-def first_setpoint_ns(snapshot: np.ndarray) -> int:
+def first_setpoint_ns(snapshot: Snapshot) -> int:
     """When a running goal's first setpoint was commanded, which belongs to the end of that cycle's period."""
     return int(snapshot["monotonic_ns"]) - round(float(snapshot["trajectory_clock_ns"])) + PERIOD_NS
 
 
-def last_setpoint_ns(snapshot: np.ndarray) -> int:
+def last_setpoint_ns(snapshot: Snapshot) -> int:
     """When a running goal's last point will be commanded, from the cycle in its middle that this snapshot shows."""
     left_ns = int(snapshot["trajectory_end_ns"]) - float(snapshot["trajectory_clock_ns"])
     assert left_ns > 0

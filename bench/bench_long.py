@@ -16,7 +16,7 @@ from ros_client import CANCELED, SUCCEEDED, until
 from sensor_msgs.msg import JointState
 
 from config.loader import arm_hash, load_arm
-from shm.client import CommandWriter, find
+from shm.client import CommandWriter
 from shm.errors import RingFull
 from shm.files import own_command
 from shm.words import Entry, Mode, Outcome
@@ -198,7 +198,7 @@ def stream_waypoints(stack: LiveStack, writer: CommandWriter) -> float:
     patiently(lambda: writer.end(goal, off, consumed()))
     while True:
         writer.beat()
-        result = find(stack.reader.snapshot()["results"], "goal_id", goal)
+        result = stack.reader.snapshot().find("results", "goal_id", goal)
         if result is not None:
             assert result["outcome"] == Outcome.SUCCEEDED, result
             return time.monotonic() - begun

@@ -29,6 +29,7 @@ from sentences.told import bus_state_sentence, joint_name, mode_name, outcome_se
 from shm.errors import TornRead
 from shm.histogram import percentiles_ns
 from shm.layout import BUS_TROUBLE
+from shm.snapshot import Snapshot
 from shm.words import BusState, Fault, Mode, Outcome, Phase, Unreferenced
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -105,7 +106,7 @@ class Diagnostics:
         except TornRead as problem:
             return [self._status("arm", ERROR, str(problem), {}), *self._gripper_status(), self._front({})]
         record = link.reader.memory.record
-        age_ns = time.monotonic_ns() - int(snapshot["monotonic_ns"])
+        age_ns = time.monotonic_ns() - snapshot["monotonic_ns"]
         return [
             self._arm_status(snapshot, age_ns),
             *self._of_counters(record),
@@ -130,11 +131,11 @@ class Diagnostics:
             return reason.sentence
         return "The control process is just being attached to."
 
-    def _arm_status(self, snapshot: np.ndarray, age_ns: int) -> Any:
-        mode, goal = int(snapshot["mode"]), int(snapshot["goal_id"])
+    def _arm_status(self, snapshot: Snapshot, age_ns: int) -> Any:
+        mode, goal = snapshot["mode"], snapshot["goal_id"]
         if age_ns > STALLED_NS:
             level, message = ERROR, hung(self._arm.name, age_ns)
-        elif int(snapshot["fault"]) != Fault.NONE:
+        elif snapshot["fault"] != Fault.NONE:
             level, message = ERROR, fault_of(snapshot, self._serving.joints)
         elif self._serving.other_server:
             level, message = ERROR, self._serving.other_server
@@ -150,7 +151,7 @@ class Diagnostics:
             "time along the trajectory": f"{float(snapshot['trajectory_clock_ns']) / NS:.3f} s",
             "speed scale asked": f"{float(snapshot['speed_scale_asked']):.3f}",
             "speed scale": f"{float(snapshot['speed_scale']):.3f}",
-            "homing or referencing": joint_name(int(snapshot["referencing_joint"]), self._serving.joints),
+            "homing or referencing": joint_name(snapshot["referencing_joint"], self._serving.joints),
         }
         return self._status("arm", level, message, values)
 
@@ -209,11 +210,11 @@ class Diagnostics:
             )
         return self._status("cycle", OK, f"{rate_hz:g} Hz, no cycle missed since the last report", values)
 
-    def _joint(self, index: int, snapshot: np.ndarray) -> Any:
+    def _joint(self, index: int, snapshot: Snapshot) -> Any:
         name, row = self._serving.joints[index], snapshot["joints"][index]
         status = int(row["drive_status"])
         measured_ns = int(row["measured_ns"])
-        age_s = (int(snapshot["monotonic_ns"]) - measured_ns) / NS
+        age_s = (snapshot["monotonic_ns"] - measured_ns) / NS
         level, message = OK, "referenced"
         if not row["referenced"]:
             reason = int(row["unreferenced_reason"]) or Unreferenced.NOT_BROUGHT_UP

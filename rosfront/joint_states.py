@@ -5,8 +5,9 @@ snapshot into a message that was serialised once, and publishes the bytes. When 
 until the next message is due. When the thread itself was late, it publishes the newest snapshot at once and goes on
 from there.
 
-The numbers are handled as Python floats: for an arm's few joints that costs a fraction of what numpy's reductions cost
-in a thread that finds the processor's caches cold at every wake-up. The message is stamped with the time of its newest
+The thread finds the processor's caches cold at every wake-up. So what stands between its wake-up and the message is
+little and always the same: numbers are Python's, numpy is not touched, and all else comes behind the message. That
+message is stamped with the time of its newest
 measurement, so the others in it are at most one round of readings older. Nothing is published when nothing was measured
 since the last message, nor before every joint has been measured once: a position in /joint_states is never invented.
 Effort is NaN where a drive measures none.
@@ -21,14 +22,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-
 from config.schema import ArmConfig
 from rosfront.link import Link, attach
 from rosfront.message_bytes import MessageBytes, finite
 from rosfront.plan import NS
 from rosfront.serving import STALLED_NS, Serving, gone, hung, starting
 from shm.errors import NotRunning, SharedMemoryError, TornRead
+from shm.snapshot import Snapshot
 
 SETTLE_NS = 60_000
 """Time from a cycle's planned time to the first read of its snapshot; if it is not there yet, the thread polls.
@@ -74,7 +74,7 @@ class Pulse(threading.Thread):
         serving: Serving,
         message: MessageBytes,
         publisher: Publisher,
-        look: Callable[[np.ndarray, int, bool], None],
+        look: Callable[[Snapshot, int, bool], None],
         aside: Callable[[Link | None], None],
         say: Callable[[str], None],
         link: Link | None,
@@ -88,7 +88,6 @@ class Pulse(threading.Thread):
         """
         super().__init__(name="joint-states", daemon=True)
         self._arm = arm
-        self._joints = len(arm.joints)
         self._every = arm.joint_states_every_cycles
         self._period_ns = arm.control.period_ns
         self._interval_ns = self._every * self._period_ns
@@ -180,19 +179,16 @@ class Pulse(threading.Thread):
         self._advanced_ns = due_ns = time.monotonic_ns()
         while not self._leave.is_set():
             time.sleep(max(0.0, (due_ns - time.monotonic_ns()) * 1e-9))
-            link.writer.beat()
             snapshot = self._fresh(link, due_ns + self._interval_ns)
             now_ns = time.monotonic_ns()
             if snapshot is not None:
                 self._advanced_ns = now_ns
-                self._cycle = int(snapshot["cycle"])
+                self._cycle = snapshot["cycle"]
                 if self._hung:
                     self._hung = False
                     self._serving.attached(link)
                 self._publish(snapshot)
-                due_ns = (
-                    int(snapshot["monotonic_ns"]) + self._settle_ns
-                )  # may be past: then the next one is there already
+                due_ns = snapshot["monotonic_ns"] + self._settle_ns  # may be past: then the next one is there already
                 due_ns += (self._every - self._cycle % self._every) * self._period_ns
             elif link.loop_is_gone():
                 self._lose(link)
@@ -203,36 +199,35 @@ class Pulse(threading.Thread):
                     self._tell_lost(hung(self._arm.name, now_ns - self._advanced_ns))
                 if due_ns <= now_ns:
                     due_ns += ((now_ns - due_ns) // self._interval_ns + 1) * self._interval_ns
+            link.writer.beat()
             self._turn_aside(link, now_ns)
 
-    def _fresh(self, link: Link, until_ns: int) -> np.ndarray | None:
+    def _fresh(self, link: Link, until_ns: int) -> Snapshot | None:
         """A snapshot newer than the last one seen; None when there is none by `until_ns` (CLOCK_MONOTONIC)."""
         pause_s, longest_s = LOOK_AGAIN_S, self._period_ns / NS / 4
         while True:
-            try:
-                snapshot = link.reader.snapshot()
-            except TornRead:
-                return None
-            if int(snapshot["cycle"]) > self._cycle:
-                return snapshot
+            if link.reader.newest_cycle() > self._cycle:
+                try:
+                    return link.reader.snapshot()
+                except TornRead:
+                    return None
             left_s = (until_ns - time.monotonic_ns()) / NS
             if self._hung or left_s <= 0.0:
                 return None
             time.sleep(min(pause_s, left_s))
             pause_s = min(2.0 * pause_s, longest_s)
 
-    def _publish(self, snapshot: np.ndarray) -> None:
-        joints = snapshot["joints"][: self._joints]
-        measured_ns = joints["measured_ns"].tolist()
+    def _publish(self, snapshot: Snapshot) -> None:
+        measured_ns = snapshot.column("joints", "measured_ns")
         newest_ns = max(measured_ns)
-        stamp_ns = int(snapshot["epoch_ns"]) + newest_ns - int(snapshot["monotonic_ns"])
-        position = joints["measured_position_rad"].tolist()
+        stamp_ns = snapshot["epoch_ns"] + newest_ns - snapshot["monotonic_ns"]
+        position = snapshot.column("joints", "measured_position_rad")
         fresh = newest_ns > self._measured_ns and all(measured_ns) and all(map(math.isfinite, position))
         if fresh:
-            velocity = finite(joints["measured_velocity_rad_s"].tolist())
-            effort = joints["measured_effort"].tolist()
+            velocity = finite(snapshot.column("joints", "measured_velocity_rad_s"))
+            effort = snapshot.column("joints", "measured_effort")
             message = self._message
-            rows: Sequence[list[float]] = (position, velocity, effort)
+            rows: Sequence[Sequence[float]] = (position, velocity, effort)
             more = None if self._beside is None else self._beside.measured(newest_ns)
             if self._beside is not None and more is not None:
                 message = self._beside.message

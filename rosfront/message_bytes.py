@@ -1,4 +1,4 @@
-"""Messages that are serialised once and afterwards only patched: for numbers that change and names that do not.
+"""Messages that are serialised once and afterwards only filled: for numbers that change and names that do not.
 
 Building and serialising a Python message costs ten times what replacing its numbers does, and a front does it at the
 rate of the control cycle. The offsets of the numbers are found in a first message with unmistakable numbers, so this
@@ -8,6 +8,7 @@ module needs to know the layout of no message. CDR is little-endian, and offsets
 import math
 import struct
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from rosfront.plan import NS
 
@@ -17,7 +18,7 @@ _INSTANT = struct.Struct("<iI")
 
 
 class MessageBytes:
-    """A serialised message whose times and rows of numbers are replaced in place."""
+    """A serialised message as the bytes that stay and the numbers between them; one call puts both together."""
 
     def __init__(
         self,
@@ -34,28 +35,47 @@ class MessageBytes:
             [1e3 * (index + 1) + place + 0.123456789 for place in range(length)]
             for index, length in enumerate(row_lengths)
         ]
-        self._bytes = bytearray(serialised(instants, rows))
-        self._times_at = [self._find(_INSTANT.pack(*instant)) for instant in instants]
-        structs = [struct.Struct(f"<{length}d") for length in row_lengths]
-        self._rows_at = [(form, self._find(form.pack(*row))) for form, row in zip(structs, rows, strict=True)]
-
-    def _find(self, marker: bytes) -> int:
-        if self._bytes.count(marker) != 1:
-            raise ValueError("A serialised message does not hold its numbers once each, little-endian.")
-        return self._bytes.index(marker)
+        message = serialised(instants, rows)
+        numbers = [*(_INSTANT.pack(*instant) for instant in instants), *(_packed(row) for row in rows)]
+        places = sorted((_only(message, found), index) for index, found in enumerate(numbers))
+        form, end = "<", 0
+        self._parts: list[tuple[bytes, int]] = []
+        """What stands before each group of numbers, and its index among times and rows."""
+        for at, index in places:
+            self._parts.append((message[end:at], index))
+            form += f"{at - end}s" + (_INSTANT.format[1:] if index < times else f"{row_lengths[index - times]}d")
+            end = at + len(numbers[index])
+        self._rest = message[end:]
+        self._form = struct.Struct(f"{form}{len(self._rest)}s")
 
     def replace(self, place: bytes, value: bytes) -> None:
         """Replace the bytes `place` by as many others; raises ValueError unless they occur exactly once."""
-        at = self._find(place)
-        self._bytes[at : at + len(place)] = value
+        fixed = [*(before for before, _ in self._parts), self._rest]
+        _only(b"".join(fixed), place)
+        *befores, self._rest = (part.replace(place, value) for part in fixed)
+        self._parts = [(before, index) for before, (_, index) in zip(befores, self._parts, strict=True)]
 
     def fill(self, times_ns: Sequence[int], rows: Sequence[Sequence[float]]) -> bytes:
-        """The message with these times (ns) and numbers."""
-        for at, time_ns in zip(self._times_at, times_ns, strict=True):
-            _INSTANT.pack_into(self._bytes, at, *divmod(time_ns, NS))
-        for (form, at), row in zip(self._rows_at, rows, strict=True):
-            form.pack_into(self._bytes, at, *row)
-        return bytes(self._bytes)
+        """The message with these times (ns) and numbers; raises ValueError or struct.error unless all are given."""
+        numbers = [*(divmod(time_ns, NS) for time_ns in times_ns), *rows]
+        if len(numbers) != len(self._parts):
+            raise ValueError(f"{len(numbers)} times and rows are given, and the message has {len(self._parts)}.")
+        values: list[Any] = []
+        for before, index in self._parts:
+            values.append(before)
+            values.extend(numbers[index])
+        return self._form.pack(*values, self._rest)
+
+
+def _packed(row: Sequence[float]) -> bytes:
+    return struct.pack(f"<{len(row)}d", *row)
+
+
+def _only(message: bytes, found: bytes) -> int:
+    """Where the bytes stand; raises ValueError unless they occur exactly once."""
+    if message.count(found) != 1:
+        raise ValueError("A serialised message does not hold its numbers once each, little-endian.")
+    return message.index(found)
 
 
 def finite(values: Sequence[float]) -> list[float]:

@@ -12,7 +12,6 @@ import threading
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
@@ -38,6 +37,7 @@ from rosfront.refusals import INVALID_GOAL
 from rosfront.services import Services
 from rosfront.serving import Serving
 from rosfront.state_topics import STATE_QOS, Feedback, Progress, StateTopics, joint_state_bytes
+from shm.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from rosfront.full_node.node import FullNode
@@ -174,11 +174,11 @@ class FrontNode:
 
     # --- every snapshot, in the publisher's thread ---
 
-    def _look(self, snapshot: np.ndarray, stamp_ns: int, fresh: bool) -> None:
+    def _look(self, snapshot: Snapshot, stamp_ns: int, fresh: bool) -> None:
         """Handle a new snapshot; `fresh`: /joint_states was published for it, so the state topics are, too."""
         if self._inputs.factor != 1.0:
             self._tell_factor(snapshot)
-        self._last_cycle = int(snapshot["cycle"])
+        self._last_cycle = snapshot["cycle"]
         execution = self.serving.look(snapshot)
         self._own_moves.look(snapshot)
         if execution is not None:
@@ -189,7 +189,7 @@ class FrontNode:
             self._full_node.look(snapshot, stamp_ns)
         if execution is None or (self._full_node is not None and self._full_node.tell(execution, snapshot)):
             return
-        now_ns = int(snapshot["monotonic_ns"])
+        now_ns = snapshot["monotonic_ns"]
         every_ns = NS / self.serving.settings.feedback_hz
         if execution.action_goal and now_ns - self._feedback_ns >= every_ns - self.arm.control.period_ns // 2:
             self._feedback_ns = now_ns
@@ -200,9 +200,9 @@ class FrontNode:
         if self._full_node is not None:
             self._full_node.aside()
 
-    def _tell_factor(self, snapshot: np.ndarray) -> None:
+    def _tell_factor(self, snapshot: Snapshot) -> None:
         """Send the speed scaling factor to a control process that is new to this node, unless its factor was set."""
-        is_new = self._last_cycle == 0 or int(snapshot["cycle"]) < self._last_cycle
+        is_new = self._last_cycle == 0 or snapshot["cycle"] < self._last_cycle
         if is_new and snapshot["speed_scale_asked"] == 1.0:
             self._inputs.ask_factor()
 

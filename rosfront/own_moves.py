@@ -16,6 +16,7 @@ from rosfront.plan import GoalPlan
 from rosfront.refusals import GoalRefused, InMotion, ParkingTooLong
 from rosfront.serving import Serving
 from rosfront.verdict import Status, Verdict
+from shm.snapshot import Snapshot
 from shm.words import Mode
 
 Tell = Callable[[str], object]
@@ -27,16 +28,19 @@ class OwnMoves:
     def __init__(self, arm: ArmConfig, serving: Serving, put: Callable[[Callable[[], None]], None], tell: Tell) -> None:
         """`put` runs a function in the thread that checks goals; `tell` is called with sentences for the operator."""
         self._arm, self._serving, self._put, self._tell = arm, serving, put, tell
+        self._pose = arm.homing.then
         self._taken_up = False
 
-    def look(self, snapshot: np.ndarray) -> None:
+    def look(self, snapshot: Snapshot) -> None:
         """Begin the move to the pose once the arm was homed at its start; call in the publisher's thread."""
-        pose, due = self._arm.homing.then, bool(snapshot["pose_due"])
-        if pose is not None and due and not self._taken_up and int(snapshot["mode"]) == Mode.HOLDING:
+        pose = self._pose
+        if pose is None:
+            return
+        if not snapshot["pose_due"]:
+            self._taken_up = False
+        elif not self._taken_up and snapshot["mode"] == Mode.HOLDING:
             self._put(lambda: self._go_to(pose))
             self._taken_up = True
-        elif not due:
-            self._taken_up = False
 
     def _go_to(self, pose: PoseMove) -> None:
         arrival = self._serving.arrival()  # before planning: a goal that is begun meanwhile takes precedence

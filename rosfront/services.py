@@ -26,6 +26,7 @@ from rosfront.serving import Serving
 from rosfront.verdict import fault_of
 from sentences.told import reasons_unreferenced, unreferenced_sentences
 from shm.client import CommandWriter
+from shm.snapshot import Snapshot
 from shm.words import DriveStatus, Fault, Mode, Phase, Request
 
 RELEASE_PATIENCE_S = 5.0
@@ -41,7 +42,7 @@ class Reply(NamedTuple):
     message: str
 
 
-Judge = Callable[[np.ndarray], Reply | None]
+Judge = Callable[[Snapshot], Reply | None]
 """Returns the reply that a snapshot decides; None while it is not decided."""
 
 
@@ -52,43 +53,43 @@ class Order:
     name: str
     ask: Request | Callable[[CommandWriter], None]
     patience_s: float
-    judge: Callable[[np.ndarray | None, Sequence[str]], Judge]
+    judge: Callable[[Snapshot | None, Sequence[str]], Judge]
     """Makes the judge from the last snapshot before the request and the joints' names."""
-    answer_now: Callable[[np.ndarray, Sequence[str]], Reply | None] = lambda before, joints: None
+    answer_now: Callable[[Snapshot, Sequence[str]], Reply | None] = lambda before, joints: None
     """The reply when there is nothing to ask the control process for; else None."""
 
 
-def _fault(snapshot: np.ndarray, joints: Sequence[str]) -> Reply | None:
-    return Reply(False, fault_of(snapshot, joints)) if int(snapshot["mode"]) == Mode.FAULT else None
+def _fault(snapshot: Snapshot, joints: Sequence[str]) -> Reply | None:
+    return Reply(False, fault_of(snapshot, joints)) if snapshot["mode"] == Mode.FAULT else None
 
 
-def _unreferenced(snapshot: np.ndarray, joints: Sequence[str]) -> list[str]:
+def _unreferenced(snapshot: Snapshot, joints: Sequence[str]) -> list[str]:
     return unreferenced_sentences(reasons_unreferenced(snapshot, joints))
 
 
-def _holds(snapshot: np.ndarray, joints: Sequence[str], begin: str) -> Reply | None:
+def _holds(snapshot: Snapshot, joints: Sequence[str], begin: str) -> Reply | None:
     doing = {Mode.HOLDING: "the arm holds where it stands", Mode.EXECUTING: "a goal is running"}
-    mode = int(snapshot["mode"])
+    mode = snapshot["mode"]
     if mode not in doing:
         return None
     return Reply(True, " ".join([f"{begin}; {doing[Mode(mode)]}.", *_unreferenced(snapshot, joints)]))
 
 
-def _enabled(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
+def _enabled(before: Snapshot | None, joints: Sequence[str]) -> Judge:
     return lambda now: _fault(now, joints) or _holds(now, joints, "The drives are enabled")
 
 
-def _not_with_a_fault(before: np.ndarray, joints: Sequence[str]) -> Reply | None:
+def _not_with_a_fault(before: Snapshot, joints: Sequence[str]) -> Reply | None:
     fault = _fault(before, joints)
     if fault is None:
         return None
     return Reply(False, f"A fault is latched; clear it first, which enables the drives too. {fault.message}")
 
 
-def _cleared(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
+def _cleared(before: Snapshot | None, joints: Sequence[str]) -> Judge:
     latched_ns = None if before is None else int(before["fault_ns"])
 
-    def judge(now: np.ndarray) -> Reply | None:
+    def judge(now: Snapshot) -> Reply | None:
         again = _fault(now, joints)
         if again is None:
             return _holds(now, joints, "The fault is cleared")
@@ -99,15 +100,15 @@ def _cleared(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-def _nothing_to_clear(before: np.ndarray, joints: Sequence[str]) -> Reply | None:
+def _nothing_to_clear(before: Snapshot, joints: Sequence[str]) -> Reply | None:
     if int(before["fault"]) != Fault.NONE:
         return None
     return Reply(True, "No fault is latched, so there is nothing to clear.")
 
 
-def _limp(mode: Mode, words: str) -> Callable[[np.ndarray | None, Sequence[str]], Judge]:
-    def judge_of(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
-        def judge(now: np.ndarray) -> Reply | None:
+def _limp(mode: Mode, words: str) -> Callable[[Snapshot | None, Sequence[str]], Judge]:
+    def judge_of(before: Snapshot | None, joints: Sequence[str]) -> Judge:
+        def judge(now: Snapshot) -> Reply | None:
             limp = not np.any(now["joints"]["drive_status"][: len(joints)] & DriveStatus.ENABLED)
             return _fault(now, joints) or (Reply(True, words) if limp and int(now["mode"]) == mode else None)
 
@@ -116,8 +117,8 @@ def _limp(mode: Mode, words: str) -> Callable[[np.ndarray | None, Sequence[str]]
     return judge_of
 
 
-def _held(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
-    def judge(now: np.ndarray) -> Reply | None:
+def _held(before: Snapshot | None, joints: Sequence[str]) -> Judge:
+    def judge(now: Snapshot) -> Reply | None:
         fault = _fault(now, joints)
         if fault is not None:
             return fault
@@ -132,13 +133,13 @@ def _held(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-def _moves(snapshot: np.ndarray) -> bool:
-    referencing = int(snapshot["mode"]) == Mode.REFERENCING
+def _moves(snapshot: Snapshot) -> bool:
+    referencing = snapshot["mode"] == Mode.REFERENCING
     return referencing or bool(np.any(snapshot["joints"]["commanded_velocity_rad_s"]))
 
 
-def _homed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
-    def judge(now: np.ndarray) -> Reply | None:
+def _homed(before: Snapshot | None, joints: Sequence[str]) -> Judge:
+    def judge(now: Snapshot) -> Reply | None:
         fault = _fault(now, joints)
         if fault is not None or int(now["mode"]) == Mode.REFERENCING:
             return fault
@@ -148,10 +149,10 @@ def _homed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-def _stopped(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
+def _stopped(before: Snapshot | None, joints: Sequence[str]) -> Judge:
     stops = 0 if before is None else int(before["stops"])
 
-    def judge(now: np.ndarray) -> Reply | None:
+    def judge(now: Snapshot) -> Reply | None:
         if int(now["fault"]) == Fault.HOMING:  # a drive in its homing run may still be moving
             return _fault(now, joints)
         if int(now["stops"]) == stops or _moves(now) or int(now["goal_id"]) != 0:
@@ -161,11 +162,11 @@ def _stopped(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-def _resumed(before: np.ndarray | None, joints: Sequence[str]) -> Judge:
+def _resumed(before: Snapshot | None, joints: Sequence[str]) -> Judge:
     paused = before is not None and int(before["goal_phase"]) == Phase.PAUSED
     goal = int(before["goal_id"]) if before is not None and paused else 0
 
-    def judge(now: np.ndarray) -> Reply | None:
+    def judge(now: Snapshot) -> Reply | None:
         if now["held"]:
             return None
         if before is not None and not before["held"]:
@@ -245,7 +246,7 @@ class Services:
         judge = order.judge(before, joints)
         decided: list[Reply] = []
 
-        def until(snapshot: np.ndarray) -> bool:
+        def until(snapshot: Snapshot) -> bool:
             reply = judge(snapshot)
             if reply is not None:
                 decided.append(reply)

@@ -25,10 +25,11 @@ from rosfront.settings import Settings
 from rosfront.streamer import Streamer, horizon_s
 from rosfront.verdict import Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
 from sentences.told import answer_sentence, outcome_sentence, reasons_unreferenced, unreferenced_sentences
-from shm.client import GOALS_AHEAD, CommandWriter, find
+from shm.client import GOALS_AHEAD, CommandWriter
 from shm.errors import RingFull, TornRead
 from shm.files import start_command
 from shm.gripper import read_gripper
+from shm.snapshot import Snapshot
 from shm.words import Answer, Mode, Outcome, Request
 
 STALLED_NS = 400_000_000
@@ -80,7 +81,7 @@ class _Request:
     sequence: int
     """0 for a store, which gets no answer."""
     on_reply: Callable[[bool, str], None]
-    until: Callable[[np.ndarray], bool] | None
+    until: Callable[[Snapshot], bool] | None
     too_late_ns: int
     patience_s: float
     answered: bool = False
@@ -117,7 +118,7 @@ class Serving:
         with self._lock:
             self._link = link
             with suppress(TornRead):  # the next `look` sets them
-                self._epoch, self._looked_ns = int(link.reader.snapshot()["epoch"]), time.monotonic_ns()
+                self._epoch, self._looked_ns = link.reader.snapshot()["epoch"], time.monotonic_ns()
         self.ever_attached.set()
 
     def lost(self, reason: str) -> None:
@@ -137,9 +138,9 @@ class Serving:
         for request in requests:
             request.on_reply(False, reason)
 
-    def look(self, snapshot: np.ndarray) -> Execution | None:
+    def look(self, snapshot: Snapshot) -> Execution | None:
         """Feed the ring, hand out the verdicts and replies of a snapshot; returns the execution that moves the arm."""
-        self._epoch, self._looked_ns = int(snapshot["epoch"]), time.monotonic_ns()
+        self._epoch, self._looked_ns = snapshot["epoch"], time.monotonic_ns()
         if not self._undecided and not self._requests:
             return None  # without the lock: a goal or request that is added now is handled with the next snapshot
         verdicts: list[tuple[Execution, Verdict]] = []
@@ -149,8 +150,8 @@ class Serving:
             if link is None:
                 return None
             replies = self._answered(snapshot)
-            moving = self._undecided.get(int(snapshot["goal_id"]))
-            self._pump(link, int(snapshot["goal_id"]), float(snapshot["trajectory_clock_ns"]))
+            moving = self._undecided.get(snapshot["goal_id"])
+            self._pump(link, snapshot["goal_id"], snapshot["trajectory_clock_ns"])
             for execution in list(self._undecided.values()):
                 verdict = self._decide(execution, snapshot)
                 if verdict is not None:
@@ -163,16 +164,16 @@ class Serving:
             request.on_reply(done, sentence)
         return moving
 
-    def _answered(self, snapshot: np.ndarray) -> list[tuple[_Request, bool, str]]:
+    def _answered(self, snapshot: Snapshot) -> list[tuple[_Request, bool, str]]:
         """Remove the requests that are done, refused or too late; returns them with their replies."""
         replies: list[tuple[_Request, bool, str]] = []
         for request in list(self._requests):
-            answer = find(snapshot["answers"], "sequence", request.sequence) if request.sequence else None
+            answer = snapshot.find("answers", "sequence", request.sequence) if request.sequence else None
             if answer is not None and int(answer["answer"]) != Answer.DONE:
                 replies.append((request, False, answer_sentence(int(answer["answer"]))))
             elif (answer is not None or request.answered) and (request.until is None or request.until(snapshot)):
                 replies.append((request, True, answer_sentence(Answer.DONE)))
-            elif int(snapshot["monotonic_ns"]) > request.too_late_ns:
+            elif snapshot["monotonic_ns"] > request.too_late_ns:
                 replies.append((request, False, f"Not within {request.patience_s:g} s: see `rtarm status`."))
             elif answer is not None:
                 request.answered = True  # later answers overwrite this one
@@ -193,15 +194,14 @@ class Serving:
             if stream.done:
                 del self._streams[goal_id]
 
-    def _decide(self, execution: Execution, snapshot: np.ndarray) -> Verdict | None:
+    def _decide(self, execution: Execution, snapshot: Snapshot) -> Verdict | None:
         """The verdict that a snapshot gives on a goal; None while it is undecided."""
-        goal_id, running = execution.goal_id, int(snapshot["goal_id"])
+        goal_id, running = execution.goal_id, snapshot["goal_id"]
         if execution.never_begun:
             return Verdict(Status.CANCELED, 0, NEVER_BEGUN, Outcome.CANCELED)
-        if execution.epoch < int(snapshot["epoch"]) and not self._is_begun(execution):
+        if execution.epoch < snapshot["epoch"] and not self._is_begun(execution):
             return Verdict(Status.ABORTED, INVALID_GOAL, outcome_sentence(why := _why_outdated(snapshot)), why)
-        results = snapshot["results"]
-        result = find(results, "goal_id", goal_id)
+        result = snapshot.find("results", "goal_id", goal_id)
         if result is not None:
             return judge(
                 int(result["outcome"]),
@@ -214,15 +214,15 @@ class Serving:
                 self.joints,
             )
         # A goal replaced before the loop saw its BEGIN gets no result of its own.
-        if running > goal_id or (running != goal_id and _newest_decided(results) > goal_id):
+        if running > goal_id or (running != goal_id and _newest_decided(snapshot) > goal_id):
             return with_final_error(
                 aborted(outcome_sentence(Outcome.REPLACED)),
                 final_error(snapshot, execution.target_rad, execution.plan.joint_mask, self.joints),
             )
-        if int(snapshot["mode"]) != Mode.FAULT:
+        if snapshot["mode"] != Mode.FAULT:
             execution.fault_since_ns = 0
             return None
-        now_ns = int(snapshot["monotonic_ns"])
+        now_ns = snapshot["monotonic_ns"]
         execution.fault_since_ns = execution.fault_since_ns or now_ns
         if now_ns - execution.fault_since_ns < FAULT_PATIENCE_NS:
             return None
@@ -240,10 +240,10 @@ class Serving:
             raise NotServing(self.other_server)
         with self._lock:
             snapshot, awaited = self._snapshot(), bool(self._undecided)
-        age_ns = time.monotonic_ns() - int(snapshot["monotonic_ns"])
+        age_ns = time.monotonic_ns() - snapshot["monotonic_ns"]
         if age_ns > STALLED_NS:
             raise NotServing(hung(self.arm.name, age_ns))
-        mode = int(snapshot["mode"])
+        mode = snapshot["mode"]
         if mode == Mode.FAULT:
             raise NotServing(fault_of(snapshot, self.joints))
         if mode not in _TAKES_GOALS:
@@ -257,12 +257,12 @@ class Serving:
         return Present(
             np.stack([rows[word] for word in words], axis=1),
             mode == Mode.HOLDING,
-            int(snapshot["monotonic_ns"]),
-            int(snapshot["epoch_ns"]),
+            snapshot["monotonic_ns"],
+            snapshot["epoch_ns"],
             awaited,
         )
 
-    def newest(self) -> np.ndarray | None:
+    def newest(self) -> Snapshot | None:
         """The newest snapshot; None when there is none to read, or this process is shutting down."""
         try:
             with self._lock:
@@ -281,7 +281,7 @@ class Serving:
         epoch = self._epoch
         if time.monotonic_ns() - self._looked_ns < PAUSE_NS:
             with suppress(NotServing), self._lock:
-                epoch = int(self._snapshot()["epoch"])
+                epoch = self._snapshot()["epoch"]
         return Arrival(next(self._turns), epoch)
 
     def refuse_outdated(self, arrival: Arrival) -> None:
@@ -304,21 +304,21 @@ class Serving:
         """
         with self._lock:
             snapshot = self._snapshot()
-            turn, epoch = (next(self._turns), int(snapshot["epoch"])) if arrival is None else arrival
+            turn, epoch = (next(self._turns), snapshot["epoch"]) if arrival is None else arrival
             _refuse_outdated(epoch, snapshot)
             if turn < self._newest_turn:
                 raise Overtaken
             self._newest_turn = turn
             assert self._link is not None
             writer = self._link.writer
-            known = max(int(snapshot["goal_id"]), int(snapshot["results"]["goal_id"].max()), self._newest_goal)
+            known = max(snapshot["goal_id"], *snapshot.column("results", "goal_id"), self._newest_goal)
             announced = writer.announced_goal  # in memory that other processes may write to
             self._newest_goal = max(known, announced if announced <= known + GOALS_AHEAD else 0) + 1
             execution = Execution(self._newest_goal, plan, on_verdict, action_goal, epoch)
             self._undecided[execution.goal_id] = execution
             self._streams[execution.goal_id] = Streamer(execution.goal_id, plan, epoch, horizon_s(self.arm))
             writer.beat()
-            self._pump(self._link, int(snapshot["goal_id"]), float(snapshot["trajectory_clock_ns"]))
+            self._pump(self._link, snapshot["goal_id"], snapshot["trajectory_clock_ns"])
             return execution
 
     def stream(self, trajectory: object, on_verdict: Callable[[Verdict], None]) -> GoalPlan:
@@ -341,7 +341,7 @@ class Serving:
         *,
         value: float = 0.0,
         effort: float = 0.0,
-        until: Callable[[np.ndarray], bool] | None = None,
+        until: Callable[[Snapshot], bool] | None = None,
         patience_s: float = 2.0,
     ) -> int:
         """Ask the control process for something; returns the request's number, 0 when it could not be written.
@@ -354,7 +354,7 @@ class Serving:
             if link is not None and not self._closing:
                 taken = link.reader.requests_consumed()
                 try:
-                    epoch = int(self._snapshot()["epoch"])
+                    epoch = self._snapshot()["epoch"]
                     sequence = link.writer.request(kind, consumed=taken, epoch=epoch, value=value, effort=effort)
                 except (RingFull, NotServing) as problem:
                     absence = str(problem)
@@ -369,7 +369,7 @@ class Serving:
         store: Callable[[CommandWriter], None],
         on_reply: Callable[[bool, str], None] = lambda done, sentence: None,
         *,
-        until: Callable[[np.ndarray], bool] = lambda snapshot: True,
+        until: Callable[[Snapshot], bool] = lambda snapshot: True,
         patience_s: float = 2.0,
     ) -> None:
         """Stop, hold, resume or scale the arm by a store of the command writer; replies as `request` does."""
@@ -385,7 +385,7 @@ class Serving:
         self,
         sequence: int,
         on_reply: Callable[[bool, str], None],
-        until: Callable[[np.ndarray], bool] | None,
+        until: Callable[[Snapshot], bool] | None,
         patience_s: float,
     ) -> None:
         """Have `look` reply when a request is answered (a store is not) and `until` holds; call with the lock."""
@@ -403,12 +403,12 @@ class Serving:
         """The running trajectory's setpoint at a ROS time (ns), at its present speed scale; raises NotServing."""
         with self._lock:
             snapshot = self._snapshot()
-            execution = self._undecided.get(int(snapshot["goal_id"]))
+            execution = self._undecided.get(snapshot["goal_id"])
         if execution is None:
             raise NotServing("No trajectory is being executed: ask while one is.")
         plan = execution.plan
-        ahead_ns = (time_epoch_ns - int(snapshot["epoch_ns"])) * float(snapshot["speed_scale"])
-        clock_ns = round(float(snapshot["trajectory_clock_ns"]) + ahead_ns)
+        ahead_ns = (time_epoch_ns - snapshot["epoch_ns"]) * snapshot["speed_scale"]
+        clock_ns = round(snapshot["trajectory_clock_ns"] + ahead_ns)
         last_ns = int(plan.times_ns[-1])
         if not plan.entry_ns <= clock_ns < last_ns:
             raise NotServing(
@@ -444,7 +444,7 @@ class Serving:
         stream = self._streams.get(execution.goal_id)
         return not execution.never_begun and (stream is None or stream.begun)
 
-    def _snapshot(self) -> np.ndarray:
+    def _snapshot(self) -> Snapshot:
         if self._closing:
             raise NotServing(CLOSING)
         if self._link is None:
@@ -461,19 +461,20 @@ class Serving:
             return not self._undecided
 
 
-def _why_outdated(snapshot: np.ndarray) -> Outcome:
+def _why_outdated(snapshot: Snapshot) -> Outcome:
     """Why a goal that arrived in an earlier epoch does not begin."""
     return Outcome.REFUSED_HELD if snapshot["held"] else Outcome.REFUSED_OUTDATED
 
 
-def _refuse_outdated(epoch: int, snapshot: np.ndarray) -> None:
-    if epoch < int(snapshot["epoch"]):
+def _refuse_outdated(epoch: int, snapshot: Snapshot) -> None:
+    if epoch < snapshot["epoch"]:
         raise NotServing(outcome_sentence(_why_outdated(snapshot)))
 
 
-def _newest_decided(results: np.ndarray) -> int:
+def _newest_decided(snapshot: Snapshot) -> int:
     """The highest number of a goal with a result."""
-    return int(results["goal_id"][results["outcome"] != Outcome.NONE].max(initial=0))
+    decided = zip(snapshot.column("results", "goal_id"), snapshot.column("results", "outcome"), strict=True)
+    return max((goal_id for goal_id, outcome in decided if outcome != Outcome.NONE), default=0)
 
 
 def starting(arm: str, pid: int) -> str:

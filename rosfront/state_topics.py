@@ -7,8 +7,8 @@ filled only while they have subscribers.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
-import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import DynamicJointState, InterfaceValue, JointTrajectoryControllerState
@@ -23,6 +23,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from config.schema import ArmConfig
 from rosfront.message_bytes import Instant, MessageBytes, finite
 from rosfront.plan import NS
+from shm.snapshot import Snapshot
 
 STATE_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
@@ -180,16 +181,16 @@ class Progress:
         self.ns = 0
         """Time (ns) of the running goal, else of the last one."""
 
-    def look(self, snapshot: np.ndarray) -> None:
+    def look(self, snapshot: Snapshot) -> None:
         """Update `ns` from a new snapshot of a running goal."""
-        goal, now_ns = int(snapshot["goal_id"]), int(snapshot["monotonic_ns"])
+        goal, now_ns = snapshot["goal_id"], snapshot["monotonic_ns"]
         if goal != self._goal:
             self._goal = goal
             self._begun_ns = now_ns - along_ns(snapshot)
         self.ns = now_ns - self._begun_ns
 
 
-def along_ns(snapshot: np.ndarray) -> int:
+def along_ns(snapshot: Snapshot) -> int:
     """Time along the trajectory (ns), which the speed scale slows down; 0 before the start."""
     return max(0, int(snapshot["trajectory_clock_ns"]))
 
@@ -211,18 +212,18 @@ class Feedback:
             FollowJointTrajectory.Impl.FeedbackMessage, f"{action}/_action/feedback", STATE_QOS
         )
 
-    def publish(self, goal: bytes, snapshot: np.ndarray, stamp_ns: int) -> None:
+    def publish(self, goal: bytes, snapshot: Snapshot, stamp_ns: int) -> None:
         """Publish desired, actual and error; for each joint all three belong to the instant of its measurement, except
         the acceleration, which is the present one."""
         if goal != self._goal:
             self._goal, self._message = goal, feedback_bytes(self._arm, goal)
-        joints = snapshot["joints"][: len(self._arm.joints)]
-        wanted, wanted_velocity = joints["reference_position_rad"].tolist(), joints["reference_velocity_rad_s"].tolist()
-        found, velocity = joints["measured_position_rad"].tolist(), joints["measured_velocity_rad_s"].tolist()
+        column = partial(snapshot.column, "joints")
+        wanted, wanted_velocity = column("reference_position_rad"), column("reference_velocity_rad_s")
+        found, velocity = column("measured_position_rad"), column("measured_velocity_rad_s")
         rows = (
             wanted,
             wanted_velocity,
-            joints["commanded_acceleration_rad_s2"].tolist(),
+            column("commanded_acceleration_rad_s2"),
             found,
             velocity,
             differences(wanted, found),
@@ -235,15 +236,14 @@ class StateTopics:
     """~/controller_state and /dynamic_joint_states; used by the publisher's thread alone."""
 
     def __init__(self, node: Node, arm: ArmConfig, progress: Progress) -> None:
-        self._joints = len(arm.joints)
         self._progress = progress
         self._controller_state = controller_state_bytes(arm)
         self._dynamic = dynamic_joint_state_bytes(arm)
-        topics: list[tuple[type, str, Callable[[np.ndarray, int], bytes]]] = [
+        topics: list[tuple[type, str, Callable[[Snapshot, int], bytes]]] = [
             (JointTrajectoryControllerState, "~/controller_state", self._fill_controller_state),
             (DynamicJointState, "dynamic_joint_states", self._fill_dynamic),
         ]
-        self._topics: list[tuple[Publisher, Callable[[np.ndarray, int], bytes]]] = [
+        self._topics: list[tuple[Publisher, Callable[[Snapshot, int], bytes]]] = [
             (node.create_publisher(kind, name, STATE_QOS), fill) for kind, name, fill in topics
         ]
         self._heard = self._topics[:0]
@@ -251,7 +251,7 @@ class StateTopics:
         self._ask_every = max(1, round(rate_hz * LISTENERS_EVERY_S))
         self._ask_in = 0
 
-    def publish(self, snapshot: np.ndarray, stamp_ns: int) -> None:
+    def publish(self, snapshot: Snapshot, stamp_ns: int) -> None:
         """Publish a snapshot, stamped with the time of its newest measurement, on the topics with subscribers."""
         if self._ask_in == 0:
             self._ask_in = self._ask_every
@@ -260,39 +260,39 @@ class StateTopics:
         for publisher, fill in self._heard:
             publisher.publish(fill(snapshot, stamp_ns))
 
-    def _fill_controller_state(self, snapshot: np.ndarray, stamp_ns: int) -> bytes:
+    def _fill_controller_state(self, snapshot: Snapshot, stamp_ns: int) -> bytes:
         """Reference, feedback and error of the instant of measurement; acceleration and output are the present ones."""
-        joints = snapshot["joints"][: self._joints]
-        wanted, wanted_velocity = joints["reference_position_rad"].tolist(), joints["reference_velocity_rad_s"].tolist()
-        found, velocity = joints["measured_position_rad"].tolist(), finite(joints["measured_velocity_rad_s"].tolist())
+        column = partial(snapshot.column, "joints")
+        wanted, wanted_velocity = column("reference_position_rad"), column("reference_velocity_rad_s")
+        found, velocity = column("measured_position_rad"), finite(column("measured_velocity_rad_s"))
         rows = (
             wanted,
             wanted_velocity,
-            joints["commanded_acceleration_rad_s2"].tolist(),
+            column("commanded_acceleration_rad_s2"),
             found,
             velocity,
             differences(wanted, found),
             differences(wanted_velocity, velocity),
-            joints["commanded_position_rad"].tolist(),
-            (float(snapshot["speed_scale_asked"]),),
+            column("commanded_position_rad"),
+            (snapshot["speed_scale_asked"],),
         )
         return self._controller_state.fill((stamp_ns, along_ns(snapshot), self._progress.ns), rows)
 
-    def _fill_dynamic(self, snapshot: np.ndarray, stamp_ns: int) -> bytes:
-        joints = snapshot["joints"][: self._joints]
-        now_ns = int(snapshot["monotonic_ns"])
+    def _fill_dynamic(self, snapshot: Snapshot, stamp_ns: int) -> bytes:
+        column = partial(snapshot.column, "joints")
+        now_ns = snapshot["monotonic_ns"]
         rows = zip(
-            joints["measured_position_rad"].tolist(),
-            finite(joints["measured_velocity_rad_s"].tolist()),
-            joints["measured_effort"].tolist(),
-            joints["commanded_position_rad"].tolist(),
-            joints["commanded_velocity_rad_s"].tolist(),
-            joints["commanded_acceleration_rad_s2"].tolist(),
-            joints["drive_status"].tolist(),
-            joints["referenced"].tolist(),
-            [(now_ns - measured_ns) / NS for measured_ns in joints["measured_ns"].tolist()],
-            joints["drive_temperature_c"].tolist(),
-            joints["drive_voltage_v"].tolist(),
+            column("measured_position_rad"),
+            finite(column("measured_velocity_rad_s")),
+            column("measured_effort"),
+            column("commanded_position_rad"),
+            column("commanded_velocity_rad_s"),
+            column("commanded_acceleration_rad_s2"),
+            column("drive_status"),
+            column("referenced"),
+            [(now_ns - measured_ns) / NS for measured_ns in column("measured_ns")],
+            column("drive_temperature_c"),
+            column("drive_voltage_v"),
             strict=True,
         )
         return self._dynamic.fill((stamp_ns,), list(rows))

@@ -8,6 +8,7 @@ import numpy as np
 
 from rosfront import refusals
 from sentences.told import joint_name, latched_sentence, outcome_sentence
+from shm.snapshot import Snapshot
 from shm.words import Fault, Outcome
 
 
@@ -69,7 +70,7 @@ def with_final_error(verdict: Verdict, distance: str) -> Verdict:
     return replace(verdict, sentence=f"{verdict.sentence.removesuffix('.')}; {distance}.")
 
 
-def final_error(snapshot: np.ndarray, target_rad: np.ndarray, joint_mask: int, joints: Sequence[str]) -> str:
+def final_error(snapshot: Snapshot, target_rad: np.ndarray, joint_mask: int, joints: Sequence[str]) -> str:
     """The largest distance between measured and target position among the goal's joints, in words."""
     mask = np.array([bool(joint_mask >> joint & 1) for joint in range(len(joints))])
     measured = snapshot["joints"]["measured_position_rad"][: len(joints)]
@@ -78,7 +79,7 @@ def final_error(snapshot: np.ndarray, target_rad: np.ndarray, joint_mask: int, j
     return f"{joints[worst]} is {errors[worst]:.4f} rad from its target"
 
 
-def fault_of(snapshot: np.ndarray, joints: Sequence[str]) -> str:
+def fault_of(snapshot: Snapshot, joints: Sequence[str]) -> str:
     """The sentence of the latched fault."""
     return latched_sentence(snapshot, joints)
 
@@ -88,13 +89,13 @@ def judge(
     joint: int,
     value: float,
     limit: float,
-    snapshot: np.ndarray,
+    snapshot: Snapshot,
     target_rad: np.ndarray,
     joint_mask: int,
     joints: Sequence[str],
 ) -> Verdict:
     """The verdict on a goal from its result (`outcome`, `joint`, `value`, `limit`) in the snapshot."""
-    if outcome == Outcome.FAULT and int(snapshot["fault"]) != Fault.NONE:
+    if outcome == Outcome.FAULT and snapshot["fault"] != Fault.NONE:
         sentence = fault_of(snapshot, joints)
     else:
         sentence = outcome_sentence(outcome, joint_name(joint, joints), value, limit)

@@ -30,6 +30,7 @@ from rtarm.running.arm_file import arm_file
 from rtarm.running.limits import Reals, limits_of
 from rtarm.running.status import STOPPED_BY_A_PERSON, resolve_arm
 from rtarm.running.tracking import AFTER_CYCLE_S
+from shm.snapshot import Snapshot
 from shm.words import Request
 
 if TYPE_CHECKING:
@@ -173,12 +174,12 @@ class Arm:
         cycle = -1
         while True:
             snapshot = self._newest()
-            if int(snapshot["cycle"]) == cycle:
+            if snapshot["cycle"] == cycle:
                 time.sleep(LOOK_S)
                 continue
-            cycle = int(snapshot["cycle"])
+            cycle = snapshot["cycle"]
             yield self._state(snapshot)
-            next_s = int(snapshot["monotonic_ns"]) * 1e-9 + period_s + AFTER_CYCLE_S
+            next_s = snapshot["monotonic_ns"] * 1e-9 + period_s + AFTER_CYCLE_S
             time.sleep(max(0.0, next_s - time.monotonic()))
 
     def move(self, targets: Mapping[str, float], *, speed: float = 0.3, relative: bool = False) -> str:
@@ -327,15 +328,15 @@ class Arm:
         finally:
             self._one_at_a_time.release()
 
-    def _newest(self) -> np.ndarray:
+    def _newest(self) -> Snapshot:
         snapshot = self._connection.snapshot()
         self._connection.check_running()
         return snapshot
 
-    def _state(self, snapshot: np.ndarray) -> State:
+    def _state(self, snapshot: Snapshot) -> State:
         rows = snapshot["joints"][: len(self.joints)]
         return State(
-            time_s=int(snapshot["monotonic_ns"]) * 1e-9,
+            time_s=snapshot["monotonic_ns"] * 1e-9,
             position_rad=rows["measured_position_rad"].copy(),
             velocity_rad_s=rows["measured_velocity_rad_s"].copy(),
             effort_nm=rows["measured_effort"].copy(),

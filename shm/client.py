@@ -16,6 +16,7 @@ from shm import layout
 from shm.errors import RingFull, TornRead
 from shm.files import MemoryFile, producers_lock
 from shm.record import offset_of
+from shm.snapshot import Snapshot
 from shm.words import Request, Setpoint
 
 READ_TRIES = 1000
@@ -25,6 +26,7 @@ GOALS_AHEAD = 1_000_000
 
 _SNAPSHOT_AT = offset_of(layout.StateFile, "snapshot")
 _SEQUENCE_AT = offset_of(layout.StateFile, "snapshot_sequence") // 8
+_CYCLE_AT = offset_of(layout.StateFile, "snapshot", "cycle") // 8
 _SETPOINTS_CONSUMED_AT = offset_of(layout.StateFile, "consumed", "setpoints") // 8
 _REQUESTS_CONSUMED_AT = offset_of(layout.StateFile, "consumed", "requests") // 8
 _COMMAND_WORD = {
@@ -51,10 +53,13 @@ class StateReader:
         self._words = self._bytes.cast("q")
         self._end = _SNAPSHOT_AT + layout.used_bytes(layout.Snapshot, self.joint_count)
 
-    def snapshot(self) -> np.ndarray:
-        """The newest complete snapshot as a record of its own (joints beyond `joint_count` are zero).
+    def newest_cycle(self) -> int:
+        """Number of the cycle whose snapshot is there or just being written, unchecked: worth a look, no more."""
+        return self._words[_CYCLE_AT]
 
-        It is an array of no dimensions, since numpy finds a word in that six times faster than in a np.void.
+    def snapshot(self) -> Snapshot:
+        """The newest complete snapshot.
+
         Raises TornRead after a bounded number of tries: a dead writer never makes a reader wait.
         """
         for attempt in range(READ_TRIES):
@@ -64,9 +69,7 @@ class StateReader:
                 if self._words[_SEQUENCE_AT] == before:
                     crc = int.from_bytes(copy[:8], "little")
                     if crc == zlib.crc32(memoryview(copy)[8:]):
-                        full = bytearray(layout.Snapshot.dtype.itemsize)
-                        full[: len(copy)] = copy
-                        return np.ndarray((), layout.Snapshot.dtype, full)
+                        return Snapshot(copy)
             if attempt > 10:
                 time.sleep(0)
         raise TornRead(
@@ -232,9 +235,3 @@ class CommandWriter:
         self._reals.release()
         self._bytes.release()
         self.memory.close()
-
-
-def find(records: np.ndarray, key: str, value: int) -> np.void | None:
-    """The record of a small table (results, answers) whose `key` is `value`, or None."""
-    rows = np.flatnonzero(records[key] == value)
-    return records[rows[0]] if len(rows) else None

@@ -34,6 +34,7 @@ from rosfront.action_client import ActionClient
 from shm import files
 from shm.client import StateReader
 from shm.errors import SharedMemoryError, TornRead
+from shm.snapshot import Snapshot
 from shm.words import Mode
 from sim.truth import JointTruth
 
@@ -298,7 +299,7 @@ class Rig(Stack):
     def _is_served(self) -> bool:
         return bool(self.user.servers() - set(self.dead_servers))
 
-    def _reference(self, snapshot: np.ndarray) -> str:
+    def _reference(self, snapshot: Snapshot) -> str:
         """Say where the joints without a reference stand, as a person who looks at them; how it went."""
         truth = self.standing(READY_S)
         lost = [j.name for j, word in zip(self.arm.joints, snapshot["joints"], strict=False) if not word["referenced"]]

@@ -9,7 +9,7 @@ import numpy as np
 from stack import PATIENCE_S
 
 from config.loader import arm_hash, load_arm
-from shm.client import CommandWriter, StateReader, find
+from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
 from shm.files import open_state, own_command
 from shm.words import Answer, Mode, Outcome, Request
@@ -82,8 +82,8 @@ class MemoryFront:
 
     def outcome(self, goal: int) -> Outcome:
         """Wait for a goal's result."""
-        told = self.until(lambda now: find(now["results"], "goal_id", goal) is not None)
-        return Outcome(int(find(told["results"], "goal_id", goal)["outcome"]))
+        told = self.until(lambda now: now.find("results", "goal_id", goal) is not None)
+        return Outcome(int(told.find("results", "goal_id", goal)["outcome"]))
 
     def close(self) -> None:
         self.reader.close()

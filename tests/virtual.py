@@ -29,7 +29,7 @@ from rtloop.process.initial_state import new_loop, show_drives, show_limits
 from rtloop.service.conversation import Conversation
 from rtloop.service.port import ServicePort
 from shm import layout
-from shm.client import CommandWriter, StateReader, find
+from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
 from shm.files import MemoryFile, name_bytes
 from shm.record import Record
@@ -444,12 +444,12 @@ class VirtualArm:
 
     def result(self, goal: int) -> np.void:
         """What a goal that has ended was told."""
-        found = find(self.loop[0]["snapshot"]["results"], "goal_id", goal)
+        found = self.reader.snapshot().find("results", "goal_id", goal)
         assert found is not None, f"goal {goal} is undecided, or so many later decisions cover it"
         return found
 
     def outcome(self, goal: int) -> int:
-        found = find(self.loop[0]["snapshot"]["results"], "goal_id", goal)
+        found = self.reader.snapshot().find("results", "goal_id", goal)
         return Outcome.NONE if found is None else int(found["outcome"])
 
     def end_of(self, goal: int, *, at_most_s: float = 30.0) -> Outcome:

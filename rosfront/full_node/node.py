@@ -32,6 +32,7 @@ from rosfront.serving import Execution, Serving
 from rosfront.state_topics import STATE_QOS, along_ns
 from rosfront.verdict import Status, Verdict
 from sentences.told import unreferenced_sentence
+from shm.snapshot import Snapshot
 from shm.words import Phase
 
 MOTOR_ANGLES_NS = NS // 30
@@ -67,11 +68,9 @@ class _Reading:
     """The angles at one moment; whether they can be trusted is determined only for a request or a subscriber."""
 
     stamp_ns: int
-    monotonic_ns: int
-    joints: np.ndarray
-    """The joints' rows of that moment's snapshot."""
-    positions_rad: np.ndarray | None
-    """(joints,), the last ones that were all finite; None before there were any."""
+    snapshot: Snapshot
+    positions_rad: tuple[float, ...] | None
+    """Of each joint, the last ones that were all finite; None before there were any."""
 
 
 class FullNode:
@@ -205,17 +204,16 @@ class FullNode:
 
     # --- every snapshot, in the publisher's thread ---
 
-    def look(self, snapshot: np.ndarray, stamp_ns: int) -> None:
+    def look(self, snapshot: Snapshot, stamp_ns: int) -> None:
         """Thirty times a second: keep the motor angles for requests, and publish them if there is a subscriber."""
-        now_ns = int(snapshot["monotonic_ns"])
+        now_ns = snapshot["monotonic_ns"]
         if now_ns < self._due_ns - self._half_cycle_ns:
             return
         self._due_ns = max(self._due_ns + MOTOR_ANGLES_NS, now_ns)
         self._looked_s = time.monotonic()
-        rows = snapshot["joints"][: len(self._joints)]
-        measured: np.ndarray = rows["measured_position_rad"]
+        measured = snapshot.column("joints", "measured_position_rad")
         before = None if self._last is None else self._last.positions_rad
-        self._last = _Reading(stamp_ns, now_ns, rows, measured if np.isfinite(measured).all() else before)
+        self._last = _Reading(stamp_ns, snapshot, measured if all(map(math.isfinite, measured)) else before)
         if self._publisher.get_subscription_count():
             self._tell_angles(self._trouble(self._last))
 
@@ -234,14 +232,14 @@ class FullNode:
         """Motor-side angles; zeros where none were ever known."""
         if reading is None or reading.positions_rad is None:
             return [0.0] * len(self._joints)
-        return self._moves.motor_deg(reading.positions_rad)
+        return self._moves.motor_deg(np.array(reading.positions_rad))
 
     def _trouble(self, reading: _Reading | None) -> str:
         """Why the angles cannot be trusted; empty when they can."""
         if reading is None:
             return NEVER_READ
-        now_ns = reading.monotonic_ns
-        for name, row in zip(self._joints, reading.joints, strict=True):
+        now_ns = reading.snapshot["monotonic_ns"]
+        for name, row in zip(self._joints, reading.snapshot["joints"], strict=False):  # it has rows for more joints
             measured_ns = int(row["measured_ns"])
             if measured_ns == 0:
                 return f"{name} has not been read yet: wait for the drives to be brought up."
@@ -262,12 +260,12 @@ class FullNode:
     def _why_silent(self) -> str:
         return f"These are the last angles known. {self._serving.absence}"
 
-    def tell(self, execution: Execution, snapshot: np.ndarray) -> bool:
+    def tell(self, execution: Execution, snapshot: Snapshot) -> bool:
         """Publish feedback on the goal that moves the arm; returns False where it is none of these actions'."""
         asked = self._asked.get(execution.action_goal)
         if asked is None or asked.move is None:
             return False
-        now_ns = int(snapshot["monotonic_ns"])
+        now_ns = snapshot["monotonic_ns"]
         if now_ns - asked.told_ns < FEEDBACK_NS - self._half_cycle_ns:
             return True
         asked.told_ns = now_ns
@@ -277,7 +275,7 @@ class FullNode:
         common = {
             "elapsed_time": asked.elapsed_s,
             "current_angles": self._moves.motor_deg(measured_rad),
-            "status_message": _DOING.get(Phase(int(snapshot["goal_phase"])), ""),
+            "status_message": _DOING.get(Phase(snapshot["goal_phase"]), ""),
         }
         if line is None:
             feedback = (

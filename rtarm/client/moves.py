@@ -52,7 +52,7 @@ def refuse_unless_holding(connection: Connection) -> None:
     snapshot = connection.snapshot()
     if snapshot["held"]:
         raise Refusal(STOPPED_BY_A_PERSON)
-    if int(snapshot["mode"]) != Mode.HOLDING:
+    if snapshot["mode"] != Mode.HOLDING:
         raise Refusal(
             f"Arm {connection.arm} does not stand still and hold at the moment: see `rtarm status`, then try again."
         )

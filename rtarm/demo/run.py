@@ -41,6 +41,7 @@ from rtarm.running.status_tables import timing_table
 from rtarm.running.tracking import Tracker, Window, errors_rad, plain
 from shm import files
 from shm.client import StateReader
+from shm.snapshot import Snapshot
 from shm.words import Unreferenced
 
 ANSWER_PATIENCE_S = 5.0
@@ -372,7 +373,7 @@ class Moment:
 
     @classmethod
     def of(
-        cls, goals: Sequence[Goal], played: Played, snapshot: np.ndarray, names: Sequence[str], least_s: float
+        cls, goals: Sequence[Goal], played: Played, snapshot: Snapshot, names: Sequence[str], least_s: float
     ) -> Moment:
         """From the client's report so far and the newest snapshot.
 
@@ -380,7 +381,7 @@ class Moment:
         """
         done_s = sum(result["planned_s"] for result in played.results)
         now = next((goal for goal in goals if goal.name == played.playing), None)
-        clock_s = float(snapshot["trajectory_clock_ns"]) * 1e-9 if now and int(snapshot["goal_id"]) else 0.0
+        clock_s = snapshot["trajectory_clock_ns"] * 1e-9 if now and snapshot["goal_id"] else 0.0
         joints = snapshot["joints"][: len(names)]
         on_the_way_s = min(max(clock_s, 0.0), now.planned_s) if now else 0.0
         return cls(

@@ -19,9 +19,10 @@ from rtarm.running.requests import Condition, Connection, cleared, enabled, limp
 from rtarm.running.status import STOPPED_BY_A_PERSON
 from rtloop.offline.commissioning.finding import Said, frames_of
 from sentences.told import outcome_sentence
-from shm.client import CommandWriter, StateReader, find
+from shm.client import CommandWriter, StateReader
 from shm.errors import TornRead
 from shm.recording import Position, now_at, read_on
+from shm.snapshot import Snapshot
 from shm.words import DriveStatus, Fault, Mode, Outcome, Request
 
 DECIDED_S = 0.5
@@ -108,7 +109,7 @@ class Led(Connection):
         """Let time pass."""
         self.until(lambda _: False, seconds)
 
-    def until(self, condition: Condition, patience_s: float) -> np.ndarray | None:
+    def until(self, condition: Condition, patience_s: float) -> Snapshot | None:
         """The first snapshot that fulfils a condition; None where none does in time."""
         ends_ns = self.now_ns() + round(patience_s * 1e9)
         while not condition(now := self.snapshot()):
@@ -117,7 +118,7 @@ class Led(Connection):
             self._pass_time()
         return now
 
-    def wait(self, condition: Condition, patience_s: float, too_long: str) -> np.ndarray:
+    def wait(self, condition: Condition, patience_s: float, too_long: str) -> Snapshot:
         now = self.until(condition, patience_s)
         if now is None:
             raise Refusal(too_long)
@@ -259,7 +260,7 @@ class Led(Connection):
 
         def result(now: Any) -> Any:
             look(now["joints"][0])
-            found = find(now["results"], "goal_id", goal)
+            found = now.find("results", "goal_id", goal)
             return found if found is not None and int(found["outcome"]) != Outcome.NONE else None
 
         now = self.until(lambda now: result(now) is not None, patience_s)
@@ -276,17 +277,17 @@ class Led(Connection):
         return End(cause, outcome_sentence(outcome, self.name, float(found["value"]), float(found["limit"])))
 
 
-def silent_for_s(snapshot: np.ndarray) -> float:
+def silent_for_s(snapshot: Snapshot) -> float:
     """For how long its drive has not been heard."""
     return (int(snapshot["monotonic_ns"]) - int(snapshot["joints"][0]["measured_ns"])) * 1e-9
 
 
-def _at_fault(snapshot: np.ndarray) -> bool:
-    return int(snapshot["fault"]) != Fault.NONE
+def _at_fault(snapshot: Snapshot) -> bool:
+    return bool(snapshot["fault"] != Fault.NONE)
 
 
-def _cause_of_fault(snapshot: np.ndarray) -> Cause:
-    fault = Fault(int(snapshot["fault"]))
+def _cause_of_fault(snapshot: Snapshot) -> Cause:
+    fault = Fault(snapshot["fault"])
     if fault == Fault.DRIVE_FAULT and int(snapshot["joints"][0]["drive_status"]) & DriveStatus.PROTECTED:
         return Cause.BEHIND
     return _OF_FAULTS.get(fault, Cause.ELSEWHERE)

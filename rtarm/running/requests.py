@@ -18,8 +18,9 @@ from rtarm.running.status import MOVING_MODES, STOPPED_BY_A_PERSON, open_running
 from sentences.meaning import Language
 from sentences.told import answer_sentence, latched_sentence, reasons_unreferenced, unreferenced_sentences
 from shm import files
-from shm.client import CommandWriter, StateReader, find
+from shm.client import CommandWriter, StateReader
 from shm.errors import EndedMeanwhile, NotRunning, TornRead
+from shm.snapshot import Snapshot
 from shm.words import Answer, DriveStatus, Fault, Mode, Phase, Request
 
 ANSWER_PATIENCE_S = 2.0
@@ -45,7 +46,7 @@ TOO_EARLY_TO_CLEAR = {
     Answer.REFUSED_MODE: "The fault is being cleared already: wait until `rtarm status` says holding, or fault again.",
 }
 
-Condition = Callable[[np.ndarray], bool]
+Condition = Callable[[Snapshot], bool]
 
 
 class Connection:
@@ -58,7 +59,7 @@ class Connection:
         self._reader = reader
         self._writer = writer
 
-    def snapshot(self) -> np.ndarray:
+    def snapshot(self) -> Snapshot:
         """The newest snapshot.
 
         Raises:
@@ -89,12 +90,12 @@ class Connection:
         taken = self._reader.requests_consumed()
         epoch = int(self.snapshot()["epoch"])
         sequence = self._writer.request(kind, consumed=taken, epoch=epoch, joint_mask=joint_mask, value=value)
-        snapshot = self.wait_heard(lambda now: find(now["answers"], "sequence", sequence) is not None)
-        answer = find(snapshot["answers"], "sequence", sequence)
+        snapshot = self.wait_heard(lambda now: now.find("answers", "sequence", sequence) is not None)
+        answer = snapshot.find("answers", "sequence", sequence)
         assert answer is not None
         return Answer(int(answer["answer"]))
 
-    def wait_heard(self, condition: Condition) -> np.ndarray:
+    def wait_heard(self, condition: Condition) -> Snapshot:
         """The first snapshot that shows that the control process has heard of something.
 
         Raises:
@@ -165,21 +166,21 @@ class Connection:
         row = self._reader.memory.record["limits"]["joints"][index]
         return math.degrees(row["lower_rad"]), math.degrees(row["upper_rad"])
 
-    def fault(self, snapshot: np.ndarray) -> str:
+    def fault(self, snapshot: Snapshot) -> str:
         """The latched fault in a sentence, "" where there is none."""
-        if int(snapshot["fault"]) == Fault.NONE:
+        if snapshot["fault"] == Fault.NONE:
             return ""
         return latched_sentence(snapshot, self.joints, self.language)
 
-    def lost(self, snapshot: np.ndarray) -> dict[str, int]:
+    def lost(self, snapshot: Snapshot) -> dict[str, int]:
         """The joints that have no reference, and why (shm.words.Unreferenced)."""
         return reasons_unreferenced(snapshot, self.joints)
 
-    def why_lost(self, snapshot: np.ndarray) -> list[str]:
+    def why_lost(self, snapshot: Snapshot) -> list[str]:
         """The same in sentences, one for each reason."""
         return unreferenced_sentences(self.lost(snapshot), self.language)
 
-    def wait(self, condition: Condition, patience_s: float, too_long: str) -> np.ndarray:
+    def wait(self, condition: Condition, patience_s: float, too_long: str) -> Snapshot:
         """The first snapshot that fulfils a condition.
 
         Raises:
@@ -272,12 +273,12 @@ def hold_again(arm: str) -> None:
         connection.writer.hold()
 
 
-def stands(snapshot: np.ndarray) -> bool:
+def stands(snapshot: Snapshot) -> bool:
     """Whether no motion is commanded and none going on."""
     return (
-        int(snapshot["mode"]) not in (*MOVING_MODES, Mode.REFERENCING)
+        snapshot["mode"] not in (*MOVING_MODES, Mode.REFERENCING)
         and not np.any(snapshot["joints"]["commanded_velocity_rad_s"])
-        and int(snapshot["goal_id"]) == 0
+        and snapshot["goal_id"] == 0
     )
 
 
@@ -292,7 +293,7 @@ def clear_fault(arm: str, language: Language = "en") -> str:
     return " ".join([done, *_held_words(after, language), *why_lost])
 
 
-def cleared(connection: Connection) -> np.ndarray | None:
+def cleared(connection: Connection) -> Snapshot | None:
     """Clear the latched fault and wait until the drives are brought up again: the snapshot then, None without a fault.
 
     Raises:
@@ -304,7 +305,7 @@ def cleared(connection: Connection) -> np.ndarray | None:
     connection.order(Request.CLEAR_FAULT)
     latched_ns = int(before["fault_ns"])
 
-    def decided(now: np.ndarray) -> bool:
+    def decided(now: Snapshot) -> bool:
         again = int(now["fault"]) != Fault.NONE and int(now["fault_ns"]) != latched_ns
         return again or int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING)
 
@@ -384,15 +385,15 @@ def _homes_soon(connection: Connection) -> bool:
     return False
 
 
-def _is_over(snapshot: np.ndarray) -> bool:
-    return int(snapshot["mode"]) != Mode.REFERENCING
+def _is_over(snapshot: Snapshot) -> bool:
+    return bool(snapshot["mode"] != Mode.REFERENCING)
 
 
-def see_to_the_end(connection: Connection, on_joint: Callable[[str], None]) -> np.ndarray:
+def see_to_the_end(connection: Connection, on_joint: Callable[[str], None]) -> Snapshot:
     """Wait until joints are referenced, telling of each as its turn comes; the last snapshot."""
     joint = -1
 
-    def news(now: np.ndarray) -> bool:
+    def news(now: Snapshot) -> bool:
         return _is_over(now) or int(now["referencing_joint"]) not in (joint, -1)
 
     while True:
@@ -407,7 +408,7 @@ def see_to_the_end(connection: Connection, on_joint: Callable[[str], None]) -> n
         on_joint(connection.joints[joint])
 
 
-def stands_at(snapshot: np.ndarray, index: int, joint: str) -> str:
+def stands_at(snapshot: Snapshot, index: int, joint: str) -> str:
     """A joint and where it is measured to stand."""
     return f"{joint} {math.degrees(snapshot['joints'][index]['measured_position_rad']):.2f}°"
 
@@ -421,7 +422,7 @@ def enable(arm: str, language: Language = "en") -> str:
     return " ".join([done, *_held_words(after, language), *why_lost])
 
 
-def enabled(connection: Connection) -> np.ndarray:
+def enabled(connection: Connection) -> Snapshot:
     """Enable limp drives and wait until the arm holds: the snapshot then; raises Refusal where it does not."""
     arm, language = connection.arm, connection.language
     if sentence := connection.fault(connection.snapshot()):
@@ -443,7 +444,7 @@ def enabled(connection: Connection) -> np.ndarray:
     return after
 
 
-def _held_words(snapshot: np.ndarray, language: Language) -> list[str]:
+def _held_words(snapshot: Snapshot, language: Language) -> list[str]:
     """What else keeps the arm from taking goals: that a person has stopped it."""
     return [said(language, STOPPED_BY_A_PERSON)] if snapshot["held"] else []
 
@@ -471,7 +472,7 @@ def limp(connection: Connection, kind: Request) -> None:
         raise Refusal(sentence)
 
 
-def _is_disabled(snapshot: np.ndarray) -> bool:
+def _is_disabled(snapshot: Snapshot) -> bool:
     return not np.any(snapshot["joints"]["drive_status"] & DriveStatus.ENABLED)
 
 

@@ -33,6 +33,7 @@ from shm.errors import NotRunning
 from shm.files import MemoryFile
 from shm.gripper import read_gripper
 from shm.layout import BUS_TROUBLE
+from shm.snapshot import Snapshot
 from shm.words import BusState, DriveStatus, Fault, Mode, Outcome, Phase, Unreferenced
 
 Report = dict[str, Any]
@@ -148,7 +149,7 @@ def report_of(arm: str, reader: StateReader, language: Language = "en") -> Repor
         "last_result": _last_result(snapshot, joints, language),
         "rate_hz": 1e9 / int(header["period_ns"]),
         "uptime_s": (now_ns - int(header["start_monotonic_ns"])) * 1e-9,
-        "cycle_age_ms": (now_ns - int(snapshot["monotonic_ns"])) * 1e-6,
+        "cycle_age_ms": (now_ns - snapshot["monotonic_ns"]) * 1e-6,
         "loop": {"pid": int(header["pid"])},
         "front": {
             "pid": None if front is None else front[0],
@@ -310,18 +311,18 @@ def _drive_problem(joint: Mapping[str, Any], language: Language) -> str:
     )
 
 
-def _fault(snapshot: np.ndarray, joints: Sequence[str], now_ns: int, language: Language) -> Report | None:
-    number = int(snapshot["fault"])
+def _fault(snapshot: Snapshot, joints: Sequence[str], now_ns: int, language: Language) -> Report | None:
+    number = snapshot["fault"]
     if number == Fault.NONE:
         return None
-    joint = int(snapshot["fault_joint"])
+    joint = snapshot["fault_joint"]
     return {
         "name": key(Fault, number),
         "sentence": latched_sentence(snapshot, joints, language),
         "joint": joints[joint] if 0 <= joint < len(joints) else None,
-        "value": _finite(float(snapshot["fault_value"])),
-        "limit": _finite(float(snapshot["fault_limit"])),
-        "age_s": (now_ns - int(snapshot["fault_ns"])) * 1e-9,
+        "value": _finite(snapshot["fault_value"]),
+        "limit": _finite(snapshot["fault_limit"]),
+        "age_s": (now_ns - snapshot["fault_ns"]) * 1e-9,
     }
 
 
@@ -331,20 +332,20 @@ def _why_unreferenced(cycle: Any, joints: Sequence[str]) -> dict[str, int]:
     return {name: reason or Unreferenced.NOT_BROUGHT_UP for name, reason in found.items()}
 
 
-def _goal(snapshot: np.ndarray) -> Report | None:
-    goal_id = int(snapshot["goal_id"])
+def _goal(snapshot: Snapshot) -> Report | None:
+    goal_id = snapshot["goal_id"]
     if goal_id == 0:
         return None
-    phase, end_ns = int(snapshot["goal_phase"]), int(snapshot["trajectory_end_ns"])
+    phase, end_ns = snapshot["goal_phase"], snapshot["trajectory_end_ns"]
     return {
         "id": goal_id,
         "phase": key(Phase, phase),
-        "clock_s": _finite(float(snapshot["trajectory_clock_ns"]) * 1e-9),
+        "clock_s": _finite(snapshot["trajectory_clock_ns"] * 1e-9),
         "duration_s": None if end_ns < 0 else end_ns * 1e-9,
     }
 
 
-def _last_result(snapshot: np.ndarray, joints: Sequence[str], language: Language) -> Report | None:
+def _last_result(snapshot: Snapshot, joints: Sequence[str], language: Language) -> Report | None:
     results = snapshot["results"]
     newest = results["monotonic_ns"] == results["monotonic_ns"].max()  # one, or neighbours that go round
     last = results[np.argmax(newest & ~np.roll(newest, -1))]

@@ -12,6 +12,7 @@ from shm import histogram
 from shm.client import StateReader
 from shm.errors import TornRead
 from shm.layout import Counters, Histogram
+from shm.snapshot import Snapshot
 
 AFTER_CYCLE_S = 0.0015
 """The snapshot is complete by then; what is read later in the cycle is the same."""
@@ -47,10 +48,10 @@ class Tracker:
         self._ended.set()
         self._thread.join()
 
-    def take(self, snapshot: np.ndarray) -> None:
+    def take(self, snapshot: Snapshot) -> None:
         """Account for one snapshot."""
-        skipped = int(snapshot["cycle"]) - int(self.latest["cycle"]) - 1
-        running = int(snapshot["goal_id"]) != 0
+        skipped = snapshot["cycle"] - self.latest["cycle"] - 1
+        running = snapshot["goal_id"] != 0
         self.latest = snapshot
         if not running:
             return
@@ -79,11 +80,11 @@ class Tracker:
                 snapshot = self._reader.snapshot()
             except TornRead:
                 continue
-            if int(snapshot["cycle"]) != int(self.latest["cycle"]):
+            if snapshot["cycle"] != self.latest["cycle"]:
                 self.take(snapshot)
 
 
-def errors_rad(snapshot: np.ndarray, count: int) -> np.ndarray:
+def errors_rad(snapshot: Snapshot, count: int) -> np.ndarray:
     """Measured minus commanded, both at the instant of each joint's measurement."""
     joints = snapshot["joints"][:count]
     errors: np.ndarray = joints["measured_position_rad"] - joints["reference_position_rad"]

@@ -115,7 +115,7 @@ def _is_free_or_agreed(arm: str, wish: Wish, person: Person) -> bool:
     with connect(arm) as connection:
         refuse_unsound(connection)
         snapshot = connection.snapshot()
-    if int(snapshot["mode"]) == Mode.FREE:
+    if snapshot["mode"] == Mode.FREE:
         return True
     if not stands(snapshot):
         raise Refusal(f"Arm {arm} moves, or its goal is paused: end that with `rtarm stop`, then try again.")
@@ -200,7 +200,7 @@ def _hold(arm: str, tell: Tell) -> str:
             snapshot = connection.snapshot()
             if sentence := connection.fault(snapshot):
                 return f"Hold the arm, nothing else does: {sentence}"
-            if int(snapshot["mode"]) != Mode.FREE:
+            if snapshot["mode"] != Mode.FREE:
                 with suppress(OSError):
                     tell(f"Arm {arm} was taken over while it was led.")
                 return ""

@@ -32,12 +32,16 @@ def test_a_serialisation_that_is_not_understood_is_not_patched(wrong):
         MessageBytes(wrong, 1, [6])
 
 
-def test_too_few_or_too_many_numbers_are_not_taken():
-    message = MessageBytes(packed, 1, [2])
-    with pytest.raises((ValueError, struct.error)):
-        message.fill([0], [[1.0]])
-    with pytest.raises(ValueError, match="shorter"):
-        message.fill([0], [])
+@pytest.mark.parametrize("rows", [[[1.0], [1.0] * 3], [[1.0] * 2, [1.0] * 4], [[1.0] * 3, [1.0] * 2]])
+def test_too_few_or_too_many_numbers_are_not_taken(rows):
+    with pytest.raises(struct.error):
+        MessageBytes(packed, 1, [2, 3]).fill([0], rows)
+
+
+@pytest.mark.parametrize("times, rows", [([0], []), ([], [[1.0] * 2]), ([0], [[1.0] * 2] * 2)])
+def test_too_few_or_too_many_rows_are_not_taken(times, rows):
+    with pytest.raises(ValueError, match="and the message has 2"):
+        MessageBytes(packed, 1, [2]).fill(times, rows)
 
 
 def test_a_velocity_is_never_nan():

@@ -272,13 +272,6 @@ def test_a_snapshot_that_never_becomes_whole_is_an_error(reader, damage, monkeyp
         reader.snapshot()
 
 
-def test_results_are_found_by_their_goal(reader):
-    results = reader.memory.record["snapshot"]["results"]
-    results["goal_id"][[3, 4]] = 19, 7
-    assert client.find(results, "goal_id", 7) == results[4]
-    assert client.find(results, "goal_id", 3) is None
-
-
 def test_consumed_records_are_read_from_the_loops_file(reader):
     reader.memory.record["consumed"]["setpoints"] = 31
     assert reader.setpoints_consumed() == 31

@@ -169,7 +169,7 @@ def test_a_silence_is_told_once_by_its_cause_and_the_same_everywhere(cause: Call
     assert (whose(arm), int(arm.memory["fault"]["silent"])) == (wanted, silent)
     assert (int(arm.memory["fault"]["joint"]) == -1) == (silent == ALL)
 
-    snapshot = arm.reader.snapshot().copy()
+    snapshot = arm.reader.snapshot()
     sentence = latched_sentence(snapshot, names)
     recording = recording_of(arm)
     told = [(one.sentence, int(event["kind"])) for one, event in happenings(recording.events, names)]
