@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,9 @@ from ros_client import ABORTED, SUCCEEDED, recorded
 from waiting import until
 
 from config.loader import load_arm
+from shm.client import StateReader
+from shm.files import open_state
+from shm.words import Phase
 
 pytestmark = [
     pytest.mark.process,
@@ -121,6 +125,8 @@ def test_header_stamps_mean_the_clock_as_it_is_when_the_goal_comes(stack, clock)
     goal.trajectory.header.stamp.sec, goal.trajectory.header.stamp.nanosec = divmod(begins, 10**9)
     handle = stack.client.send(goal)
     assert handle.accepted
+    with closing(StateReader(open_state(stack.name))) as reader:  # a goal is accepted before its stamp is read
+        until(lambda: reader.snapshot()["goal_phase"] == Phase.WAITING, "a goal that waits for its start")
     clock.step_ns = -HOUR_NS
     state, _, words = stack.client.result(handle)
     assert state == SUCCEEDED, words
