@@ -97,7 +97,7 @@ def test_a_goal_of_a_hundred_thousand_points(benchmark, report, tmp_path):
             future.add_done_callback(lambda _: answers.append(time.monotonic_ns()))
             until(lambda: stack.reader.snapshot()["mode"] == Mode.EXECUTING, "motion", 60.0)
             snapshot = stack.reader.snapshot()
-            moving_ns = int(snapshot["monotonic_ns"]) - int(snapshot["trajectory_clock_ns"])
+            moving_ns = snapshot["monotonic_ns"] - int(snapshot["trajectory_clock_ns"])
             until(lambda: float(stack.reader.snapshot()["trajectory_clock_ns"]) > 3 * NS, "three seconds of it", 10.0)
             gaps_ms = np.diff(heard[first:]) / 1e6
             during = Usage(stack.front)
@@ -177,7 +177,7 @@ def stream_waypoints(stack: LiveStack, writer: CommandWriter) -> float:
         joint_mask=63,
         goal_time_s=0.0,
         entry=Entry(0),
-        epoch=int(stack.reader.snapshot()["epoch"]),
+        epoch=stack.reader.snapshot()["epoch"],
         tolerances=off,
         consumed=consumed(),
     )

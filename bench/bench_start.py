@@ -58,8 +58,8 @@ def ready():
     now_ns = time.monotonic_ns()
     reader = StateReader(open_state(arm.name))
     snapshot = reader.snapshot()
-    done = int(snapshot["cycle"]) - 1 + int(reader.memory.record["counters"]["overruns"])
-    marks["threads, first cycle"] = int(snapshot["monotonic_ns"]) - done * arm.control.period_ns
+    done = snapshot["cycle"] - 1 + int(reader.memory.record["counters"]["overruns"])
+    marks["threads, first cycle"] = snapshot["monotonic_ns"] - done * arm.control.period_ns
     marks["bring-up"] = now_ns
     os.kill(os.getpid(), signal.SIGTERM)
 control.serve(ready)
@@ -93,8 +93,8 @@ def start(stack: Stack) -> tuple[float, float]:
     ready_ns = time.monotonic_ns()
     reader = StateReader(open_state(stack.name))
     snapshot, record = reader.snapshot(), reader.memory.record
-    done = int(snapshot["cycle"]) - 1 + int(record["counters"]["overruns"])
-    first_ns = int(snapshot["monotonic_ns"]) - done * int(record["header"]["period_ns"])
+    done = snapshot["cycle"] - 1 + int(record["counters"]["overruns"])
+    first_ns = snapshot["monotonic_ns"] - done * int(record["header"]["period_ns"])
     reader.close()
     process.close()
     assert process.code() == 0, process.text

@@ -117,7 +117,7 @@ def measure(folder: Path, cpu: int, mock_hz: float | None, settings: dict) -> Si
         if priority < 2:
             pytest.skip("no real-time priority was given to the control process: `rtarm doctor` says why")
         player = Player(stack)
-        phase_ns = int(stack.reader.snapshot()["monotonic_ns"]) % found.period_ns + found.period_ns // 4
+        phase_ns = stack.reader.snapshot()["monotonic_ns"] % found.period_ns + found.period_ns // 4
         witnessed = folder / "witness.npz"
         beside = ["bench.witness", str(stack.reader.memory.path), priority - 1, cpu, found.period_ns // 2]
         witness = Process(*map(str, [*beside, phase_ns % (found.period_ns // 2), STEADY_S + 1, witnessed]))

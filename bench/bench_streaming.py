@@ -83,7 +83,7 @@ class Watcher(threading.Thread):
     def run(self) -> None:
         while not self._leave.wait(LOOK_EVERY_S):
             snapshot = self._stack.reader.snapshot()
-            seen = int(snapshot["cycle"]), int(snapshot["monotonic_ns"]), int(snapshot["goal_id"])
+            seen = snapshot["cycle"], snapshot["monotonic_ns"], snapshot["goal_id"]
             if not self.cycles or seen[0] > self.cycles[-1][0]:
                 self.cycles.append(seen)
 

@@ -72,6 +72,19 @@ def _goes_on(begun: Coroutine[Any, Any, None]) -> bool:
     return True
 
 
+class _Result(Future):
+    """A goal's result, which is sent in the turn of the executor in which it is set, not in the next one.
+
+    What is raised meanwhile is raised by `set_result`; rclpy's own futures without an executor only warn of it.
+    """
+
+    def _schedule_or_invoke_done_callbacks(self) -> None:
+        with self._lock:
+            callbacks, self._callbacks = self._callbacks, []
+        for callback in callbacks:
+            callback(self)
+
+
 class _TellingServer(ActionServer):
     """An action server that also reports each result it has sent, and in which nothing waits for a considered goal.
 
@@ -159,8 +172,8 @@ class _TellingServer(ActionServer):
                 self._logger.error(f"A goal is not taken, since another with its id was accepted meanwhile: {problem}.")
             else:
                 self._goal_handles[goal_id] = handle
-                # a future of no executor: who awaits it is answered at once, not in the executor's next turn
-                result = self._result_futures[goal_id] = Future()
+                result = self._result_futures[goal_id] = _Result()
+                self.add_future(result)
         response = self._action_type.Impl.SendGoalService.Response(accepted=handle is not None, stamp=info.stamp)
         try:
             await self._answer(answer, response)
@@ -221,7 +234,6 @@ class _TellingServer(ActionServer):
 
     async def _execute_goal(self, execute_callback: Any, goal_handle: ServerGoalHandle) -> None:
         await super()._execute_goal(execute_callback, goal_handle)
-        goal_handle._goal_request = None  # perhaps many bytes, which would be kept as long as the result
         self._on_concluded(bytes(goal_handle.goal_id.uuid))
 
     def _send_result_response(self, request_header: Any, future: Future) -> None:
@@ -284,6 +296,10 @@ class _UnlockedServer(_TellingServer):
         if _is_of_all(taken[1].goal_info):
             self._all_canceled = self._arrival().turn  # includes goals that are still being taken or considered
         await super()._execute_cancel_request(taken)
+
+    async def _execute_goal(self, execute_callback: Any, goal_handle: ServerGoalHandle) -> None:
+        await super()._execute_goal(execute_callback, goal_handle)
+        goal_handle._goal_request = None  # many bytes, which would be kept as long as the result
 
 
 def _is_of_all(canceled: GoalInfo) -> bool:

@@ -6,11 +6,10 @@ until the next message is due. When the thread itself was late, it publishes the
 from there.
 
 The thread finds the processor's caches cold at every wake-up. So what stands between its wake-up and the message is
-little and always the same: numbers are Python's, numpy is not touched, and all else comes behind the message. That
-message is stamped with the time of its newest
-measurement, so the others in it are at most one round of readings older. Nothing is published when nothing was measured
-since the last message, nor before every joint has been measured once: a position in /joint_states is never invented.
-Effort is NaN where a drive measures none.
+little and always the same: numbers are Python's, numpy is not touched, and all else comes behind the message. That is
+stamped with the time of its newest measurement, so the others in it are at most one round of readings older. Nothing is
+published when nothing was measured since the last message, nor before every joint has been measured once: a position in
+/joint_states is never invented. Effort is NaN where a drive measures none.
 """
 
 import contextlib

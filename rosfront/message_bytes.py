@@ -49,9 +49,10 @@ class MessageBytes:
         self._form = struct.Struct(f"{form}{len(self._rest)}s")
 
     def replace(self, place: bytes, value: bytes) -> None:
-        """Replace the bytes `place` by as many others; raises ValueError unless they occur exactly once."""
+        """Replace bytes that stay, `place`, by as many others; raises ValueError unless they occur exactly once."""
         fixed = [*(before for before, _ in self._parts), self._rest]
-        _only(b"".join(fixed), place)
+        if len(value) != len(place) or sum(part.count(place) for part in fixed) != 1:
+            raise ValueError(f"The {len(place)} bytes to be replaced by {len(value)} do not occur exactly once.")
         *befores, self._rest = (part.replace(place, value) for part in fixed)
         self._parts = [(before, index) for before, (_, index) in zip(befores, self._parts, strict=True)]
 

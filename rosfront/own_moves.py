@@ -74,7 +74,7 @@ class OwnMoves:
         try:
             plan = self._plan(parking)
             newest = self._serving.newest()
-            speed_scale = 0.0 if newest is None else float(newest["speed_scale_asked"])
+            speed_scale = 0.0 if newest is None else newest["speed_scale_asked"]
             takes_s = plan.times_ns[-1] * 1e-9 / speed_scale if speed_scale > 0.0 else math.inf
             if takes_s > parking.timeout_s:
                 raise ParkingTooLong(takes_s, parking.timeout_s, speed_scale)

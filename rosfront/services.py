@@ -87,13 +87,13 @@ def _not_with_a_fault(before: Snapshot, joints: Sequence[str]) -> Reply | None:
 
 
 def _cleared(before: Snapshot | None, joints: Sequence[str]) -> Judge:
-    latched_ns = None if before is None else int(before["fault_ns"])
+    latched_ns = None if before is None else before["fault_ns"]
 
     def judge(now: Snapshot) -> Reply | None:
         again = _fault(now, joints)
         if again is None:
             return _holds(now, joints, "The fault is cleared")
-        if int(now["fault_ns"]) == latched_ns:
+        if now["fault_ns"] == latched_ns:
             return None  # bring-up has not begun yet
         return Reply(False, f"The fault was cleared and came back. {again.message}")
 
@@ -101,7 +101,7 @@ def _cleared(before: Snapshot | None, joints: Sequence[str]) -> Judge:
 
 
 def _nothing_to_clear(before: Snapshot, joints: Sequence[str]) -> Reply | None:
-    if int(before["fault"]) != Fault.NONE:
+    if before["fault"] != Fault.NONE:
         return None
     return Reply(True, "No fault is latched, so there is nothing to clear.")
 
@@ -110,7 +110,7 @@ def _limp(mode: Mode, words: str) -> Callable[[Snapshot | None, Sequence[str]], 
     def judge_of(before: Snapshot | None, joints: Sequence[str]) -> Judge:
         def judge(now: Snapshot) -> Reply | None:
             limp = not np.any(now["joints"]["drive_status"][: len(joints)] & DriveStatus.ENABLED)
-            return _fault(now, joints) or (Reply(True, words) if limp and int(now["mode"]) == mode else None)
+            return _fault(now, joints) or (Reply(True, words) if limp and now["mode"] == mode else None)
 
         return judge
 
@@ -124,9 +124,9 @@ def _held(before: Snapshot | None, joints: Sequence[str]) -> Judge:
             return fault
         if not now["held"] or _moves(now):
             return None
-        if int(now["goal_id"]) == 0:
+        if now["goal_id"] == 0:
             return Reply(True, "The arm stands and takes no goals before ~/resume.")
-        if int(now["goal_phase"]) != Phase.PAUSED:
+        if now["goal_phase"] != Phase.PAUSED:
             return None
         return Reply(True, "The arm stands on its path; its goal goes on with ~/resume or ends with a cancel.")
 
@@ -141,7 +141,7 @@ def _moves(snapshot: Snapshot) -> bool:
 def _homed(before: Snapshot | None, joints: Sequence[str]) -> Judge:
     def judge(now: Snapshot) -> Reply | None:
         fault = _fault(now, joints)
-        if fault is not None or int(now["mode"]) == Mode.REFERENCING:
+        if fault is not None or now["mode"] == Mode.REFERENCING:
             return fault
         lost = _unreferenced(now, joints)
         return Reply(not lost, " ".join(lost) or "Homed; the arm holds where it stands.")
@@ -150,12 +150,12 @@ def _homed(before: Snapshot | None, joints: Sequence[str]) -> Judge:
 
 
 def _stopped(before: Snapshot | None, joints: Sequence[str]) -> Judge:
-    stops = 0 if before is None else int(before["stops"])
+    stops = 0 if before is None else before["stops"]
 
     def judge(now: Snapshot) -> Reply | None:
-        if int(now["fault"]) == Fault.HOMING:  # a drive in its homing run may still be moving
+        if now["fault"] == Fault.HOMING:  # a drive in its homing run may still be moving
             return _fault(now, joints)
-        if int(now["stops"]) == stops or _moves(now) or int(now["goal_id"]) != 0:
+        if now["stops"] == stops or _moves(now) or now["goal_id"] != 0:
             return None
         return Reply(True, "The arm stands and takes no goals before ~/resume.")
 
@@ -163,8 +163,8 @@ def _stopped(before: Snapshot | None, joints: Sequence[str]) -> Judge:
 
 
 def _resumed(before: Snapshot | None, joints: Sequence[str]) -> Judge:
-    paused = before is not None and int(before["goal_phase"]) == Phase.PAUSED
-    goal = int(before["goal_id"]) if before is not None and paused else 0
+    paused = before is not None and before["goal_phase"] == Phase.PAUSED
+    goal = before["goal_id"] if before is not None and paused else 0
 
     def judge(now: Snapshot) -> Reply | None:
         if now["held"]:
@@ -172,7 +172,7 @@ def _resumed(before: Snapshot | None, joints: Sequence[str]) -> Judge:
         if before is not None and not before["held"]:
             return Reply(True, "The arm is not held.")
         return Reply(
-            True, "The goal goes on." if goal != 0 and goal == int(now["goal_id"]) else "The arm takes goals again."
+            True, "The goal goes on." if goal != 0 and goal == now["goal_id"] else "The arm takes goals again."
         )
 
     return judge

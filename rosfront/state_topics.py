@@ -2,7 +2,7 @@
 # (rclpy annotates some of its functions and leaves the others untyped)
 """Messages on the arm's state: /joint_states, ~/controller_state, /dynamic_joint_states, and the action's feedback.
 
-All are patched into messages that were serialised once. `rosfront.joint_states` publishes the first; the next two are
+All are filled into messages that were serialised once. `rosfront.joint_states` publishes the first; the next two are
 filled only while they have subscribers.
 """
 
@@ -199,7 +199,7 @@ class Feedback:
     """Publishes the feedback on a running goal; used by the publisher's thread alone.
 
     rclpy makes and converts a deeply nested message each time, which costs more than six /joint_states. So this class
-    has a second publisher on the action's feedback topic, of the same type and QoS, and patches the bytes.
+    has a second publisher on the action's feedback topic, of the same type and QoS, and fills the bytes.
     """
 
     def __init__(self, node: Node, action: str, arm: ArmConfig, progress: Progress) -> None:

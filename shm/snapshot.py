@@ -16,6 +16,7 @@ from shm.record import offset_of
 _WORDS = [name for name in layout.Changing.dtype.names or () if name != "joints"]
 _INDEX = {name: index for index, name in enumerate(_WORDS)}
 _WORDS_AT = offset_of(layout.Snapshot, _WORDS[0])
+_TABLES_AT = {name: offset_of(layout.Snapshot, name) for name in ("results", "answers", "joints")}
 
 
 def _letters(dtype: np.dtype[np.void], names: list[str]) -> str:
@@ -31,7 +32,8 @@ class Snapshot:
 
     __slots__ = ("_bytes", "_record", "_tables", "_words")
 
-    _AT: ClassVar = {name: offset_of(layout.Snapshot, name) for name in ("results", "answers", "joints")}
+    __iter__: ClassVar = None  # it would try the numbers from 0 on as names
+    __contains__: ClassVar = None
 
     def __init__(self, copy: bytes) -> None:
         """`copy` is the record from its CRC to the last joint in use."""
@@ -53,11 +55,14 @@ class Snapshot:
         index = _INDEX.get(name)
         return self.record[name] if index is None else self._words[index]
 
+    def __repr__(self) -> str:
+        return f"Snapshot({self.record})"
+
     def column(self, table: str, name: str) -> tuple[Any, ...]:
         """One word of each row of `results` or `answers`, or of each joint in use, as ints or floats."""
         names, form = _table(table, len(self._bytes))
         if table not in self._tables:
-            self._tables[table] = form.unpack_from(self._bytes, self._AT[table])
+            self._tables[table] = form.unpack_from(self._bytes, _TABLES_AT[table])
         return self._tables[table][names[name] :: len(names)]
 
     def find(self, table: str, name: str, value: int) -> np.void | None:
@@ -73,6 +78,6 @@ def _table(table: str, length: int) -> tuple[dict[str, int], struct.Struct]:
     dtype = layout.Snapshot.dtype[table]
     row, rows = dtype.base, dtype.shape[0]
     if table == "joints":
-        rows = (length - Snapshot._AT[table]) // row.itemsize
+        rows = (length - _TABLES_AT[table]) // row.itemsize
     names = list(row.names or ())
     return {name: index for index, name in enumerate(names)}, struct.Struct("<" + _letters(row, names) * rows)

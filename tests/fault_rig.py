@@ -213,7 +213,7 @@ class Rig(Stack):
                 self._reader = StateReader(files.open_state(self.name))
         return self._reader
 
-    def snapshot(self) -> np.ndarray | None:
+    def snapshot(self) -> Snapshot | None:
         """The newest snapshot of a living control process, if it has run a cycle."""
         reader = self.reader()
         if reader is None or int(reader.memory.record["snapshot_sequence"][0]) == 0:

@@ -12,6 +12,7 @@ from config.loader import arm_hash, load_arm
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
 from shm.files import open_state, own_command
+from shm.snapshot import Snapshot
 from shm.words import Answer, Mode, Outcome, Request
 
 
@@ -25,11 +26,11 @@ class MemoryFront:
         self.reader = StateReader(open_state(self.config.name))
         self.writer = CommandWriter(own_command(self.config.name, arm_hash(self.config)))
 
-    def now(self) -> np.void:
+    def now(self) -> Snapshot:
         self.writer.beat()
         return self.reader.snapshot()
 
-    def until(self, wanted: Callable[[np.void], bool]) -> np.void:
+    def until(self, wanted: Callable[[Snapshot], bool]) -> Snapshot:
         """The first snapshot that is as wanted."""
         deadline = time.monotonic() + self.patience_s
         while not wanted(now := self.now()):

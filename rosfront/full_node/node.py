@@ -239,7 +239,7 @@ class FullNode:
         if reading is None:
             return NEVER_READ
         now_ns = reading.snapshot["monotonic_ns"]
-        for name, row in zip(self._joints, reading.snapshot["joints"], strict=False):  # it has rows for more joints
+        for name, row in zip(self._joints, reading.snapshot["joints"][: len(self._joints)], strict=True):
             measured_ns = int(row["measured_ns"])
             if measured_ns == 0:
                 return f"{name} has not been read yet: wait for the drives to be brought up."

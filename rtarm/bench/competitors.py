@@ -218,14 +218,14 @@ class OurCycle:
         await asyncio.sleep(seconds)
         _, _, elapsed_ns = window.counters()
         lateness, cycle_time = window.histogram("lateness"), window.histogram("cycle_time")
-        moving = int(self._reader.snapshot()["mode"]) == Mode.EXECUTING
+        moving = self._reader.snapshot()["mode"] == Mode.EXECUTING
         after = {name: usage.processor_ns([pid]) for name, pid in pids.items()}
         scheduling = usage.obtained(loop)
         if self._watch.done():
             self._watch.result()
         trouble = await self._client.result() or ("" if moving else "It ended before the slice did.")
         used = {name: after[name] - before[name] for name in pids}
-        begun_ns = int(middle["monotonic_ns"]) - float(middle["trajectory_clock_ns"]) + 1e9 / self._bench.rate_hz
+        begun_ns = middle["monotonic_ns"] - float(middle["trajectory_clock_ns"]) + 1e9 / self._bench.rate_hz
         return Slice(
             lateness,
             elapsed_ns * 1e-9,
@@ -234,7 +234,7 @@ class OurCycle:
             trouble,
             cycle_time=cycle_time,
             joint_states=await self._client.states(first_ns, first_ns + elapsed_ns),
-            goal_ms=(begun_ns - self._sent_ns) * 1e-6 if int(middle["goal_id"]) else None,
+            goal_ms=(begun_ns - self._sent_ns) * 1e-6 if middle["goal_id"] else None,
         )
 
     async def rest(self) -> None:

@@ -218,7 +218,7 @@ def follow(connection: Connection, sender: Sender, number: int, silent: str, *, 
     while (ended := sender.ended(number, LOOK_S)) is None:
         now = connection.snapshot()
         connection.check_running()
-        if int(now["goal_id"]):
+        if now["goal_id"]:
             if begun:
                 return None
             quiet_since_s = time.monotonic()

@@ -159,7 +159,7 @@ class Led(Connection):
         Whoever brings it up just now is waited for.
         """
         now = self.wait(
-            lambda now: _at_fault(now) or int(now["mode"]) == Mode.HOLDING,
+            lambda now: _at_fault(now) or now["mode"] == Mode.HOLDING,
             self.patience.bring_up_s,
             f"{self.name} is not brought up.",
         )
@@ -187,7 +187,7 @@ class Led(Connection):
 
     def drive_refused(self) -> bool:
         """Whether it was the drive that ended its bring-up, and not the bus or this machine."""
-        return int(self.snapshot()["fault"]) == Fault.BRING_UP
+        return bool(self.snapshot()["fault"] == Fault.BRING_UP)
 
     def is_disabled(self) -> bool:
         """Whether its drive said last that it holds nothing."""
@@ -208,7 +208,7 @@ class Led(Connection):
         away_rad = abs(float(joint["commanded_position_rad"] - joint["measured_position_rad"]))
         if not joint["referenced"]:  # it goes nowhere but to its stop, and where it was is no place to be away from
             away_rad = 0.0
-        homes = int(now["mode"]) == Mode.REFERENCING
+        homes = now["mode"] == Mode.REFERENCING
         moves = homes or bool(joint["commanded_velocity_rad_s"]) or away_rad > AT_EASE_RAD
         return f"{self.name} was still on its way." if moves else ""
 
@@ -216,7 +216,7 @@ class Led(Connection):
         """Say where the joint stands; raises Refusal where that is not taken."""
         self.order(Request.REFERENCE, joint_mask=1, value=angle_rad)
         now = self.wait(
-            lambda now: _at_fault(now) or (int(now["mode"]) == Mode.HOLDING and bool(now["joints"][0]["referenced"])),
+            lambda now: _at_fault(now) or (now["mode"] == Mode.HOLDING and bool(now["joints"][0]["referenced"])),
             self.patience.bring_up_s,
             f"The angle of {self.name} is not taken.",
         )
@@ -245,7 +245,7 @@ class Led(Connection):
             joint_mask=1,
             goal_time_s=1.0,
             entry=0,
-            epoch=int(now["epoch"]),
+            epoch=now["epoch"],
             tolerances=path,
             consumed=consumed(),
         )

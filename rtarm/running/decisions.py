@@ -63,12 +63,12 @@ def _newest(connection: Connection) -> Iterator[Decision]:
     """The latched fault, which ends a goal in its own words, and the newest results."""
     now = connection.snapshot()
     joints = connection.joints
-    if int(now["fault"]) != Fault.NONE:
+    if now["fault"] != Fault.NONE:
         yield Decision(
             lambda language: latched_sentence(now, joints, language),
-            _joint(connection, int(now["fault_joint"])),
-            float(now["fault_value"]),
-            float(now["fault_limit"]),
+            _joint(connection, now["fault_joint"]),
+            now["fault_value"],
+            now["fault_limit"],
         )
     for row in now["results"]:
         if int(row["outcome"]) != Outcome.NONE:

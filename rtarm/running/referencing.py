@@ -81,7 +81,7 @@ def readings(arm: str, language: Language = "en") -> list[Reading]:
     with connect(arm, language) as connection:
         _refuse_amid_a_fault(connection)
         found = _readings(connection)
-        if found and int(connection.snapshot()["mode"]) != Mode.HOLDING:
+        if found and connection.snapshot()["mode"] != Mode.HOLDING:
             raise Refusal(answer_sentence(Answer.REFUSED_MODE, language))
     return found
 

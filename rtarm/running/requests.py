@@ -88,7 +88,7 @@ class Connection:
             RingFull: too many requests wait already.
         """
         taken = self._reader.requests_consumed()
-        epoch = int(self.snapshot()["epoch"])
+        epoch = self.snapshot()["epoch"]
         sequence = self._writer.request(kind, consumed=taken, epoch=epoch, joint_mask=joint_mask, value=value)
         snapshot = self.wait_heard(lambda now: now.find("answers", "sequence", sequence) is not None)
         answer = snapshot.find("answers", "sequence", sequence)
@@ -101,9 +101,9 @@ class Connection:
         Raises:
             Refusal: it runs no cycle, or does so without that: somebody else has asked for something else.
         """
-        asked = int(self.snapshot()["cycle"])
+        asked = self.snapshot()["cycle"]
         now = self.wait(
-            lambda now: condition(now) or int(now["cycle"]) > asked + HEARD_CYCLES,
+            lambda now: condition(now) or now["cycle"] > asked + HEARD_CYCLES,
             ANSWER_PATIENCE_S,
             said(
                 self.language,
@@ -228,9 +228,9 @@ def stop(arm: str, language: Language = "en") -> str:
     """Stop the arm on its path, wait until it stands, and say so; it takes no goals before a resume."""
     with connect(arm, language) as connection:
         before = connection.snapshot()
-        had_goal = int(before["goal_id"]) != 0 or int(before["goal_phase"]) == Phase.WAITING
+        had_goal = before["goal_id"] != 0 or before["goal_phase"] == Phase.WAITING
         connection.writer.stop()
-        connection.wait_heard(lambda now: int(now["stops"]) > int(before["stops"]))
+        connection.wait_heard(lambda now: now["stops"] > before["stops"])
         after = connection.wait(
             stands,
             connection.patience.person_s,
@@ -300,14 +300,14 @@ def cleared(connection: Connection) -> Snapshot | None:
         Refusal: it is not cleared, or came back.
     """
     arm, before = connection.arm, connection.snapshot()
-    if int(before["fault"]) == Fault.NONE:
+    if before["fault"] == Fault.NONE:
         return None
     connection.order(Request.CLEAR_FAULT)
-    latched_ns = int(before["fault_ns"])
+    latched_ns = before["fault_ns"]
 
     def decided(now: Snapshot) -> bool:
-        again = int(now["fault"]) != Fault.NONE and int(now["fault_ns"]) != latched_ns
-        return again or int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING)
+        again = now["fault"] != Fault.NONE and now["fault_ns"] != latched_ns
+        return again or now["mode"] in (Mode.HOLDING, Mode.EXECUTING)
 
     after = connection.wait(
         decided,
@@ -380,7 +380,7 @@ def _interrupt(*_: object) -> None:
 def _homes_soon(connection: Connection) -> bool:
     """Whether joints are being homed, or are as soon as the control process has heard of it."""
     with suppress(Refusal):
-        connection.wait(lambda now: int(now["mode"]) == Mode.REFERENCING, BEGUN_PATIENCE_S, "")
+        connection.wait(lambda now: now["mode"] == Mode.REFERENCING, BEGUN_PATIENCE_S, "")
         return True
     return False
 
@@ -394,7 +394,7 @@ def see_to_the_end(connection: Connection, on_joint: Callable[[str], None]) -> S
     joint = -1
 
     def news(now: Snapshot) -> bool:
-        return _is_over(now) or int(now["referencing_joint"]) not in (joint, -1)
+        return _is_over(now) or now["referencing_joint"] not in (joint, -1)
 
     while True:
         now = connection.wait(
@@ -404,7 +404,7 @@ def see_to_the_end(connection: Connection, on_joint: Callable[[str], None]) -> S
         )
         if _is_over(now):
             return now
-        joint = int(now["referencing_joint"])
+        joint = now["referencing_joint"]
         on_joint(connection.joints[joint])
 
 
@@ -430,7 +430,7 @@ def enabled(connection: Connection) -> Snapshot:
         raise Refusal(said(language, latched, fault=sentence))
     connection.order(Request.ENABLE)
     after = connection.wait(
-        lambda now: int(now["mode"]) in (Mode.HOLDING, Mode.EXECUTING, Mode.FAULT),
+        lambda now: now["mode"] in (Mode.HOLDING, Mode.EXECUTING, Mode.FAULT),
         connection.patience.bring_up_s,
         said(
             language,
@@ -463,7 +463,7 @@ def limp(connection: Connection, kind: Request) -> None:
     mode = Mode.DISABLED if kind == Request.DISABLE else Mode.FREE
     connection.order(kind)
     after = connection.wait(
-        lambda now: int(now["mode"]) == Mode.FAULT or (int(now["mode"]) == mode and _is_disabled(now)),
+        lambda now: now["mode"] == Mode.FAULT or (now["mode"] == mode and _is_disabled(now)),
         RELEASE_PATIENCE_S,
         f"The drives of {connection.arm} are not limp after {RELEASE_PATIENCE_S:g} s: keep clear and see `rtarm "
         "status`.",
@@ -510,7 +510,7 @@ def resume(arm: str, language: Language = "en") -> str:
         after = connection.wait_heard(lambda now: not now["held"])
     if not before["held"]:
         return said(language, "Arm {arm} is not held: goals and streams may begin.", arm=arm)
-    goes_on = int(before["goal_phase"]) == Phase.PAUSED and int(after["goal_id"]) == int(before["goal_id"])
+    goes_on = before["goal_phase"] == Phase.PAUSED and after["goal_id"] == before["goal_id"]
     if goes_on:
         return said(language, "The goal of {arm} goes on.", arm=arm)
     return said(language, "Arm {arm} takes goals again.", arm=arm)
@@ -523,5 +523,5 @@ def speed(arm: str, scale: float, language: Language = "en") -> str:
         raise Refusal(said(language, outside, scale=scale))
     with connect(arm, language) as connection:
         connection.writer.scale(scale)
-        connection.wait_heard(lambda now: float(now["speed_scale_asked"]) == scale)
+        connection.wait_heard(lambda now: now["speed_scale_asked"] == scale)
     return said(language, "Goals of {arm} run at {scale:.0%} of their speed.", arm=arm, scale=scale)

@@ -73,7 +73,7 @@ class Tracker:
     def _live(self) -> None:
         """Wake shortly after each cycle, whose planned time the snapshot tells."""
         while not self._ended.is_set():
-            next_s = int(self.latest["monotonic_ns"]) * 1e-9 + self._period_s + AFTER_CYCLE_S
+            next_s = self.latest["monotonic_ns"] * 1e-9 + self._period_s + AFTER_CYCLE_S
             # A late cycle is looked for again soon; a dead control process costs a look now and then.
             self._ended.wait(max(0.0005, next_s - time.monotonic()))
             try:

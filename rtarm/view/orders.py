@@ -131,14 +131,14 @@ class Orders:
         before = connection.snapshot()
         if self._stops != stops:
             raise Refusal(outcome_sentence(Outcome.REFUSED_HELD, language=self._words.language))
-        if running := int(before["goal_id"]):
+        if running := before["goal_id"]:
             raise Refusal(self._words.goal_runs.format(id=running))
         stands_rad = before["joints"]["commanded_position_rad"][: len(to_rad)]
         takes_s = duration_s(self._arm, stands_rad, to_rad)
         still = np.zeros((1, len(to_rad)))
         names = [joint.name for joint in self._arm.joints]
         number = sender.send(goal_document(names, np.array([takes_s]), to_rad[None], still, still))
-        return takes_s / max(float(before["speed_scale_asked"]), SLOWEST), sender, number
+        return takes_s / max(before["speed_scale_asked"], SLOWEST), sender, number
 
     def close(self) -> None:
         """End what was started; a goal that was sent and still runs is cancelled."""

@@ -1,5 +1,6 @@
 """When a message may be published, and what the publisher's thread does beside it."""
 
+import contextlib
 import os
 import struct
 import time
@@ -140,6 +141,19 @@ def loop(arm):
     loop = FakeLoop(arm)
     yield loop
     loop.stop()
+
+
+@pytest.mark.parametrize("spoilt", [-1, 0, 2**62])
+def test_a_spoilt_number_of_a_cycle_counts_for_nothing(arm, loop, thread, spoilt):
+    """It is looked at before the snapshot is checked."""
+    with contextlib.closing(attach(arm)) as link:
+        for now_ns in (1000, 2000):
+            loop.cycle(now_ns)
+            found = thread.pulse._fresh(link, time.monotonic_ns())
+            assert found["monotonic_ns"] == now_ns
+            thread.pulse._cycle = found["cycle"]
+            loop.state["snapshot"]["cycle"] = spoilt
+            assert thread.pulse._fresh(link, time.monotonic_ns()) is None
 
 
 def followed(thread, slow):

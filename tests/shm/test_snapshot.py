@@ -56,13 +56,15 @@ def test_numpy_sees_all_of_it_and_zero_where_no_joint_is(made):
         snapshot["joints"]["measured_ns"] = 0
 
 
-@given(made=records(), row=st.integers(0, layout.RESULT_SLOTS - 1))
-def test_a_row_is_found_by_a_word_of_it(made, row):
-    snapshot = copy_of(*made)
-    goal = made[1]["results"]["goal_id"][row]
-    found = snapshot.find("results", "goal_id", int(goal))
-    assert found.tobytes() == made[1]["results"][row].tobytes()
-    assert snapshot.find("results", "goal_id", int(made[1]["results"]["goal_id"].max()) ^ 1) is None
+@given(
+    goals=st.lists(st.integers(0, 5), min_size=layout.RESULT_SLOTS, max_size=layout.RESULT_SLOTS),
+    wanted=st.integers(0, 6),
+)
+def test_the_first_row_with_a_word_is_found(goals, wanted):
+    record = np.zeros((), layout.Snapshot.dtype)
+    record["results"]["goal_id"], record["results"]["joint"] = goals, np.arange(layout.RESULT_SLOTS)
+    found = copy_of(1, record).find("results", "goal_id", wanted)
+    assert (None if found is None else found["joint"]) == (goals.index(wanted) if wanted in goals else None)
 
 
 @pytest.mark.parametrize("name", ["goal", "joint", ""])
@@ -72,3 +74,12 @@ def test_a_word_that_is_none_is_a_mistake(name):
         snapshot[name]
     with pytest.raises(KeyError):
         snapshot.column("joints", name)
+
+
+def test_it_is_no_sequence():
+    snapshot = Snapshot(bytes(SIZE))
+    with pytest.raises(TypeError):
+        list(snapshot)
+    with pytest.raises(TypeError):
+        assert "mode" in snapshot
+    assert repr(snapshot).startswith("Snapshot(")

@@ -24,6 +24,7 @@ from virtual import GOALS, VirtualArm, recorded_goal
 from config.loader import known_arms, load_arm
 from rtloop.process.run import take_over_wire
 from rtloop.wire import can_words, received
+from shm.snapshot import Snapshot
 from shm.words import Mode, Outcome, Request
 from sim.faults import PowerLoss, Protection, Silent, Stall, Thing
 
@@ -73,7 +74,7 @@ def standing(
         found.close()
 
 
-def shown(arm: VirtualArm) -> np.ndarray:
+def shown(arm: VirtualArm) -> Snapshot:
     return arm.reader.snapshot()
 
 

@@ -26,6 +26,7 @@ from rosfront.refusals import GoalRefused
 from rosfront.serving import Execution, Serving
 from rosfront.verdict import Status, Verdict, refused
 from shm.client import CommandWriter
+from shm.snapshot import Snapshot
 from shm.words import Mode, Request
 from sim.faults import Silent, Stall
 
@@ -209,7 +210,7 @@ class Stage:
     # --- the arm
 
     @property
-    def snapshot(self) -> np.void:
+    def snapshot(self) -> Snapshot:
         return self.arm.reader.snapshot()
 
     @property
