@@ -72,19 +72,6 @@ def _goes_on(begun: Coroutine[Any, Any, None]) -> bool:
     return True
 
 
-class _Result(Future):
-    """A goal's result, which is sent in the turn of the executor in which it is set, not in the next one.
-
-    What is raised meanwhile is raised by `set_result`; rclpy's own futures without an executor only warn of it.
-    """
-
-    def _schedule_or_invoke_done_callbacks(self) -> None:
-        with self._lock:
-            callbacks, self._callbacks = self._callbacks, []
-        for callback in callbacks:
-            callback(self)
-
-
 class _TellingServer(ActionServer):
     """An action server that also reports each result it has sent, and in which nothing waits for a considered goal.
 
@@ -95,17 +82,13 @@ class _TellingServer(ActionServer):
         self,
         executor: Executor,
         on_sent: Callable[[bytes], None],
-        on_concluded: Callable[[bytes], None],
         of_unknown: Any,
         *arguments: Any,
         **options: Any,
     ) -> None:
-        """`on_sent` is called with the id of a goal whose result was sent, `on_concluded` with that of one that has
-        ended, when everyone who had asked for its result has been answered."""
         super().__init__(*arguments, **options)
         self._executor = executor
         self._on_sent = on_sent
-        self._on_concluded = on_concluded
         self._of_unknown = of_unknown
         self._answering = 0
         self._leaving = False
@@ -172,7 +155,7 @@ class _TellingServer(ActionServer):
                 self._logger.error(f"A goal is not taken, since another with its id was accepted meanwhile: {problem}.")
             else:
                 self._goal_handles[goal_id] = handle
-                result = self._result_futures[goal_id] = _Result()
+                result = self._result_futures[goal_id] = Future()
                 self.add_future(result)
         response = self._action_type.Impl.SendGoalService.Response(accepted=handle is not None, stamp=info.stamp)
         try:
@@ -231,10 +214,6 @@ class _TellingServer(ActionServer):
                 self._handle.send_result_response(header, unknown)
             except RuntimeError as problem:  # the client is not known to the middleware yet, or no more
                 self._logger.warning(f"Who asked for the result of an unknown goal was not answered: {problem}.")
-
-    async def _execute_goal(self, execute_callback: Any, goal_handle: ServerGoalHandle) -> None:
-        await super()._execute_goal(execute_callback, goal_handle)
-        self._on_concluded(bytes(goal_handle.goal_id.uuid))
 
     def _send_result_response(self, request_header: Any, future: Future) -> None:
         super()._send_result_response(request_header, future)
@@ -360,9 +339,6 @@ class GoalServer:
         self._idle = idle
         self._result = result
         self._untold: dict[bytes, float] = {}  # goals whose client has no result yet, and until when that counts (s)
-        self._to_log: dict[bytes, tuple[bool, str]] = {}
-        """Of goals that have ended, whether well, and a sentence: logging takes half a millisecond, so it comes after
-        the result."""
         self._has_spun = threading.Event()
         self._spins_until_s = math.inf
         make: Callable[..., _TellingServer] = _TellingServer
@@ -374,7 +350,6 @@ class GoalServer:
         self._server = make(
             executor,
             self._told,
-            self._concluded,
             kind.Result() if of_unknown is None else of_unknown,  # type: ignore[attr-defined]  # every action has one
             node,
             kind,
@@ -454,25 +429,20 @@ class GoalServer:
             self._untold[bytes(handle.goal_id.uuid)] = time.monotonic() + RESULT_GRACE_S
 
     def _conclude(self, handle: ServerGoalHandle, verdict: Verdict) -> Any:
-        canceling, well, said = handle.is_cancel_requested, True, verdict.sentence
+        canceling = handle.is_cancel_requested
         if verdict.status is Status.SUCCEEDED:
             handle.succeed()
             self.counts.goals_succeeded += 1
+            if verdict.sentence:
+                self._log.info(verdict.sentence)
         elif verdict.status is Status.CANCELED and canceling:
             handle.canceled()
             self.counts.goals_canceled += 1
+            self._log.info(verdict.sentence)
         else:
             handle.abort()
             self.counts.goals_aborted += 1
-            well, said = False, f"Goal aborted: {verdict.sentence}"
+            self._log.warning(f"Goal aborted: {verdict.sentence}")
             if verdict.status is Status.CANCELED:
                 verdict = replace(verdict, code=INVALID_GOAL)
-        self._to_log[bytes(handle.goal_id.uuid)] = well, said
         return self._result(handle, verdict)
-
-    def _concluded(self, goal: bytes) -> None:
-        well, said = self._to_log.pop(goal, (True, ""))
-        if not well:
-            self._log.warning(said)
-        elif said:
-            self._log.info(said)
