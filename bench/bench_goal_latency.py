@@ -98,12 +98,12 @@ class Timed:
 
 def first_setpoint_ns(snapshot: Snapshot) -> int:
     """When a running goal's first setpoint was commanded, which belongs to the end of that cycle's period."""
-    return snapshot["monotonic_ns"] - round(float(snapshot["trajectory_clock_ns"])) + PERIOD_NS
+    return snapshot["monotonic_ns"] - round(snapshot["trajectory_clock_ns"]) + PERIOD_NS
 
 
 def last_setpoint_ns(snapshot: Snapshot) -> int:
     """When a running goal's last point will be commanded, from the cycle in its middle that this snapshot shows."""
-    left_ns = snapshot["trajectory_end_ns"] - float(snapshot["trajectory_clock_ns"])
+    left_ns = snapshot["trajectory_end_ns"] - snapshot["trajectory_clock_ns"]
     assert left_ns > 0
     return snapshot["monotonic_ns"] + math.ceil(left_ns / PERIOD_NS - 1e-6) * PERIOD_NS
 

@@ -98,7 +98,7 @@ def test_a_goal_of_a_hundred_thousand_points(benchmark, report, tmp_path):
             until(lambda: stack.reader.snapshot()["mode"] == Mode.EXECUTING, "motion", 60.0)
             snapshot = stack.reader.snapshot()
             moving_ns = snapshot["monotonic_ns"] - int(snapshot["trajectory_clock_ns"])
-            until(lambda: float(stack.reader.snapshot()["trajectory_clock_ns"]) > 3 * NS, "three seconds of it", 10.0)
+            until(lambda: stack.reader.snapshot()["trajectory_clock_ns"] > 3 * NS, "three seconds of it", 10.0)
             gaps_ms = np.diff(heard[first:]) / 1e6
             during = Usage(stack.front)
             handle = future.result()

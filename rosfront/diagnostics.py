@@ -147,10 +147,10 @@ class Diagnostics:
             level, message = OK, mode_name(mode)
         values = {
             "mode": mode_name(mode),
-            "goal": f"{goal} {_word(Phase, int(snapshot['goal_phase']))}" if goal else "none",
-            "time along the trajectory": f"{float(snapshot['trajectory_clock_ns']) / NS:.3f} s",
-            "speed scale asked": f"{float(snapshot['speed_scale_asked']):.3f}",
-            "speed scale": f"{float(snapshot['speed_scale']):.3f}",
+            "goal": f"{goal} {_word(Phase, snapshot['goal_phase'])}" if goal else "none",
+            "time along the trajectory": f"{snapshot['trajectory_clock_ns'] / NS:.3f} s",
+            "speed scale asked": f"{snapshot['speed_scale_asked']:.3f}",
+            "speed scale": f"{snapshot['speed_scale']:.3f}",
             "homing or referencing": joint_name(snapshot["referencing_joint"], self._serving.joints),
         }
         return self._status("arm", level, message, values)

@@ -242,7 +242,7 @@ def stop(arm: str, language: Language = "en") -> str:
                 seconds=connection.patience.person_s,
             ),
         )
-        if int(after["fault"]) == Fault.HOMING:
+        if after["fault"] == Fault.HOMING:
             raise Refusal(connection.fault(after))
     if had_goal:
         return said(
@@ -492,11 +492,11 @@ def hold(arm: str, language: Language = "en") -> str:
                 seconds=connection.patience.person_s,
             ),
         )
-        if int(after["fault"]) == Fault.HOMING:
+        if after["fault"] == Fault.HOMING:
             raise Refusal(connection.fault(after))
     if not after["held"]:
         raise Refusal(said(language, "Arm {arm} was resumed before it stood.", arm=arm))
-    if int(after["goal_phase"]) != Phase.PAUSED:
+    if after["goal_phase"] != Phase.PAUSED:
         return said(language, "Arm {arm} stands and takes no goals before `rtarm resume`.", arm=arm)
     on_its_path = "Arm {arm} stands on its path; its goal goes on with `rtarm resume` or ends with `rtarm stop`."
     return said(language, on_its_path, arm=arm)
