@@ -39,23 +39,23 @@ def our_cycles(loop, rpm, acc, pulses, replies, counts, cycles):
     """
     status = 0
     for left in range(cycles - 1, -1, -1):
-        loop.outgoing.length = 0
+        loop.buses[0].outgoing.length = 0
         for joint in range(len(rpm)):
             first, second = zdt.pack_target(rpm[joint], acc[joint], pulses[joint] - left)
-            slcan.encode_frame(loop, (joint + 1) << 8, True, 8, first)
-            slcan.encode_frame(loop, ((joint + 1) << 8) | 1, True, 5, second)
+            slcan.encode_frame(loop.buses[0], (joint + 1) << 8, True, 8, first)
+            slcan.encode_frame(loop.buses[0], ((joint + 1) << 8) | 1, True, 5, second)
         for joint in range(len(rpm)):
-            slcan.encode_frame(loop, (joint + 1) << 8, True, 2, zdt.READ_POSITION)
-        slcan.encode_frame(loop, 0x100, True, 2, zdt.READ_STATUS)
+            slcan.encode_frame(loop.buses[0], (joint + 1) << 8, True, 2, zdt.READ_POSITION)
+        slcan.encode_frame(loop.buses[0], 0x100, True, 2, zdt.READ_STATUS)
         for byte in replies:
-            if slcan.collect(loop, byte):
-                _, frame_id, _, length, data = slcan.decode_line(loop)
+            if slcan.collect(loop.buses[0], byte):
+                _, frame_id, _, length, data = slcan.decode_line(loop.buses[0])
                 kind, value = zdt.decode(frame_id & 255, length, data)
                 if kind == zdt.POSITION:
                     counts[(frame_id >> 8) - 1] = value
                 elif kind == zdt.STATUS:
                     status = value
-                loop.parser.line_length = 0
+                loop.buses[0].parser.line_length = 0
     return status
 
 
@@ -104,7 +104,7 @@ def test_our_codec(benchmark, figures):
     replies, counts = np.frombuffer(REPLIES, np.uint8), np.zeros(6, np.int64)
     status = benchmark(our_cycles, loop[0], RPM, ACC, PULSES, replies, counts, CYCLES)
     assert counts.tolist() == COUNTS.tolist() and status & 3 == 3
-    sent = loop[0]["outgoing"]["bytes"][: int(loop[0]["outgoing"]["length"])].tobytes()
+    sent = loop[0]["buses"][0]["outgoing"]["bytes"][: int(loop[0]["buses"][0]["outgoing"]["length"])].tobytes()
     figures["ours"] = {"seconds": benchmark.stats.stats.median / CYCLES, "bytes": sent}
 
 

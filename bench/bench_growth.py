@@ -131,7 +131,7 @@ def timed_cycles(
         before_ns = monotonic_ns(clock)
         step(loop, shared, now_ns)
         durations_ns[i] = monotonic_ns(clock) - before_ns if running_goal(loop) == goal else -1
-        loop.outgoing.length = 0
+        loop.buses[0].outgoing.length = 0
     return now_ns
 
 
@@ -274,7 +274,7 @@ def cycles_recorded(
         if recording == 1:
             record(shared.lateness, value_ns)
         step(loop, shared, now_ns)
-        loop.outgoing.length = 0
+        loop.buses[0].outgoing.length = 0
         if recording == 1:
             record(shared.cycle_time, value_ns)
     return monotonic_ns(clock) - before_ns

@@ -29,8 +29,14 @@ SERIAL_BAUDS = (
 
 
 class BusConfig(Section):
-    """The CAN bus and the adapter it is reached through."""
+    """A CAN bus and the adapter it is reached through; of an arm with several buses one entry of a list."""
 
+    name: str | None = Field(
+        default=None,
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,15}$",
+        description="Name of the bus where the arm has several, by which its joints name it: a letter, then letters, "
+        "digits and _, at most 16.",
+    )
     interface: Literal["slcan", "seeedstudio", "ch340-at", "socketcan", "python-can", "mock"] = Field(
         description="How the bus is reached: slcan, seeedstudio (Seeed and Waveshare USB-CAN-A) and ch340-at (the "
         "adapters of RobStride and CyberGear drives) are serial CAN adapters, socketcan is a CAN interface of the "

@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 import yaml
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from config.errors import ConfigError, did_you_mean
@@ -29,6 +30,8 @@ def complaint(
 ) -> ConfigError:
     """One problem that pydantic found in `values`, which `root` says and `overridden` replaces in places."""
     location, model = _place(details["loc"])
+    if location[:2] == ("bus", 0) and not isinstance(values.get("bus"), list):
+        location = ("bus", *location[2:])  # the only one, whose list nobody wrote
     context = details.get("ctx", {})
     if details["type"] == "arm_config":
         of_section = bool(location)  # which knows of no joint, as the whole arm does
@@ -61,12 +64,17 @@ def _place(loc: tuple[int | str, ...]) -> tuple[Location, type[BaseModel]]:
         if isinstance(part, int):
             continue
         owner = model
-        field = model.model_fields.get(part)
+        field = fields_of(model).get(part)
         models = [] if field is None else _models_in(field.annotation)
         choices = {_family(found): found for found in models} if len(models) > 1 else {}
         if len(models) == 1:
             model = models[0]
     return tuple(location), owner
+
+
+def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """The fields of a section by the names that they have in an arm file."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
@@ -110,6 +118,10 @@ def subject(location: Location, values: Mapping[str, Any]) -> str:
             return "the file"
         case ("joints", int()):
             return str(joint)
+        case ("bus", int(index)):
+            return f"the {ordinal(index)} bus"
+        case ("bus", int(index), *_, str(inside)):
+            return f"{inside} of the {ordinal(index)} bus"
         case (*_, str(inside), int(index)):
             return f"the {ordinal(index)} entry of {inside}{f' ({joint})' if joint else ''}"
     return f"{location[-1]} of {joint}" if joint else str(location[-1])
@@ -191,13 +203,13 @@ def _type_advice(value: object, kind: str) -> str:
 
 
 def _meaning(location: Location, model: type[BaseModel]) -> str:
-    field = model.model_fields.get(str(location[-1])) if location else None
+    field = fields_of(model).get(str(location[-1])) if location else None
     description = "correct it." if field is None or field.description is None else field.description
     return description[0].lower() + description[1:]
 
 
 def _bounds(location: Location, model: type[BaseModel]) -> str:
-    field = model.model_fields[str(location[-1])]
+    field = fields_of(model)[str(location[-1])]
     words: list[str] = []
     for attribute, word in (("gt", "above"), ("ge", "at least"), ("lt", "below"), ("le", "at most")):
         for bound in field.metadata:
@@ -211,7 +223,7 @@ def _unknown_field(location: Location, model: type[BaseModel], subject: str) -> 
     if model is JointConfig and name in _DERIVED_FIELDS:
         return f"{subject} is not a field; {_DERIVED_FIELDS[name]}."
     section = f" of {location[-2]}" if len(location) > 1 and isinstance(location[-2], str) else ""
-    known = list(model.model_fields)
+    known = list(fields_of(model))
     return (
         f"{subject} is not a field{section}{did_you_mean(name, known)}; known here are {', '.join(known)}; correct or "
         "remove it."

@@ -62,6 +62,10 @@ class GripperServo(Section):
         "NaN.",
     )
 
+    bus: str | None = Field(
+        default=None, description="Name of the bus that it is on; needed where the arm has several."
+    )
+
     @property
     def identifiers(self) -> tuple[Identifiers, ...]:
         """What it hears and says on the bus."""

@@ -46,6 +46,9 @@ class JointConfig(Section):
         "63.",
     )
     drive: DriveConfig = Field(description="The drive that moves the joint.")
+    bus: str | None = Field(
+        default=None, description="Name of the bus that its drive is on; needed where the arm has several."
+    )
     ratio: float = Field(ge=1e-3, le=1e6, description="Gear ratio: motor turns for one turn of the joint.")
     direction: Annotated[Literal[1, -1], NoBool] = Field(
         default=1, description="1 when a positive motor angle turns the joint positively, else -1."

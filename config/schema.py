@@ -10,19 +10,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
+    BeforeValidator,
     Field,
     PrivateAttr,
+    SerializerFunctionWrapHandler,
+    field_serializer,
     model_validator,
 )
 
 from config.bus import BusConfig
+from config.buses import MOST_BUSES, as_list, bus_number, check_buses, check_places
 from config.drives.together import check_adapter, check_drives
 from config.errors import did_you_mean
 from config.geometry import KinematicsConfig
-from config.gripper import GROUP, LINK, GripperConfig
+from config.gripper import GROUP, LINK, GripperConfig, GripperServo
 from config.homing import HomingConfig, ParkingConfig
 from config.joint import JointConfig
 from config.section import KEYS_BESIDE_CONTROLLERS, NoBool, Section, ordinal, refuse, refuse_name
@@ -265,7 +269,11 @@ class ArmConfig(Section):
     )
     description: str = Field(default="", description="One line for people.")
     control: ControlConfig = Field(description="The control cycle.")
-    bus: BusConfig = Field(description="The CAN bus and its adapter.")
+    buses: Annotated[list[BusConfig], BeforeValidator(as_list)] = Field(
+        alias="bus",
+        description=f"The CAN bus and its adapter; with several, a list of up to {MOST_BUSES}, and each joint names "
+        "its own.",
+    )
     joints: list[JointConfig] = Field(
         min_length=1, max_length=32, description="The joints, in the order of /joint_states."
     )
@@ -288,6 +296,11 @@ class ArmConfig(Section):
 
     _source: Source | None = PrivateAttr(default=None)
 
+    @field_serializer("buses", mode="wrap")
+    def _as_in_a_file(self, buses: list[BusConfig], write: SerializerFunctionWrapHandler) -> Any:
+        written = write(buses)
+        return written[0] if len(written) == 1 else written
+
     @property
     def source(self) -> Source | None:
         """Where the arm was read from; None for an arm built in memory."""
@@ -302,6 +315,41 @@ class ArmConfig(Section):
     def has_options(self) -> bool:
         """Whether options changed what its file says."""
         return self._source is not None and bool(self._source.overridden)
+
+    @property
+    def bus(self) -> BusConfig:
+        """The bus; of several the first, for what they agree on (`config.buses.ALIKE`)."""
+        return self.buses[0]
+
+    def bus_number(self, drive: JointConfig | GripperServo) -> int:
+        """The number of the bus that a joint's drive, or the gripper's, is on."""
+        return bus_number(self.buses, drive.bus)
+
+    def bus_of(self, drive: JointConfig | GripperServo) -> BusConfig:
+        """The bus that a joint's drive, or the gripper's, is on."""
+        return self.buses[self.bus_number(drive)]
+
+    @property
+    def parts(self) -> list[ArmConfig]:
+        """The arm bus by bus: each as an arm of that bus alone, with the drives that are on it."""
+        return [self] if len(self.buses) == 1 else [self._part(number) for number in range(len(self.buses))]
+
+    def _part(self, number: int) -> ArmConfig:
+        gripper = self.gripper
+        if gripper is not None and (gripper.servo is None or self.bus_number(gripper.servo) != number):
+            gripper = None
+        joints = [joint for joint in self.joints if self.bus_number(joint) == number]
+        return self.model_copy(update={"buses": [self.buses[number]], "joints": joints, "gripper": gripper})
+
+    def part_of(self, joint: int) -> tuple[ArmConfig, int]:
+        """The part (`parts`) with a joint's bus, and the joint's number there."""
+        number = self.bus_number(self.joints[joint])
+        before = [number == self.bus_number(other) for other in self.joints[:joint]]
+        return self.parts[number], sum(before)
+
+    def on_every_bus(self, **settings: object) -> ArmConfig:
+        """The same arm with settings of its buses changed; they are not checked."""
+        return self.model_copy(update={"buses": [bus.model_copy(update=settings) for bus in self.buses]})
 
     @property
     def joint_states_every_cycles(self) -> int:
@@ -331,6 +379,13 @@ class ArmConfig(Section):
                     "joint; every joint needs a name of its own: rename one.",
                 )
             first_with_name[joint.name] = index
+        return self
+
+    @model_validator(mode="after")
+    def _buses_go_together(self) -> ArmConfig:
+        check_buses(self.buses)
+        servo = None if self.gripper is None else self.gripper.servo
+        check_places(self.buses, self.joints, None if servo is None else servo.bus, servo is not None)
         return self
 
     @model_validator(mode="after")
@@ -367,7 +422,9 @@ class ArmConfig(Section):
                 "or socketcan.",
             )
         for joint in self.joints:
-            if any(mine.meets(theirs) for mine in gripper.servo.identifiers for theirs in joint.drive.identifiers):
+            if self.bus_number(joint) == self.bus_number(gripper.servo) and any(
+                mine.meets(theirs) for mine in gripper.servo.identifiers for theirs in joint.drive.identifiers
+            ):
                 raise refuse(
                     "gripper.servo.address",
                     f"address {gripper.servo.address} is used by {joint.name} and the gripper; every drive on the bus "
@@ -377,8 +434,9 @@ class ArmConfig(Section):
 
     @model_validator(mode="after")
     def _adapter_carries_what_drives_say(self) -> ArmConfig:
-        servo = None if self.gripper is None else self.gripper.servo
-        check_adapter(self.joints, self.bus, () if servo is None else servo.identifiers)
+        for part in self.parts:
+            servo = None if part.gripper is None else part.gripper.servo
+            check_adapter(part.joints, part.bus, () if servo is None else servo.identifiers)
         return self
 
     @model_validator(mode="after")

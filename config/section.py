@@ -56,4 +56,4 @@ class Section(BaseModel):
     """A section of an arm file; nothing in it is guessed, nothing changes afterwards."""
 
     # Strict, so that `ratio: "25"` or `rate_hz: yes` is refused instead of being guessed at.
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, serialize_by_alias=True)

@@ -26,7 +26,7 @@ GAP_NS = 100_000_000
 
 @jit
 def step(loop: Loop, shared: StateFile, now_ns: int) -> int:
-    """Run one cycle whose planned time is now_ns; returns the bytes to write, which stand in `loop.outgoing.bytes`."""
+    """Run one cycle whose planned time is now_ns; returns how many bytes the buses' transmit buffers hold."""
     begin_cycle(loop, shared, now_ns)
     measured.take_what_the_bus_brought(loop, shared)
     orders.take_service_orders(loop, shared)
@@ -41,7 +41,16 @@ def step(loop: Loop, shared: StateFile, now_ns: int) -> int:
     goals.judge_goal(loop, shared)
     frames.encode(loop, shared)
     publish_snapshot(loop, shared)
-    return int(loop.outgoing.length)
+    return bytes_to_write(loop)
+
+
+@jit
+def bytes_to_write(loop: Loop) -> int:
+    """How many bytes stand in the transmit buffers of all buses."""
+    count = 0
+    for number in range(loop.params.bus_count):
+        count += loop.buses[number].outgoing.length
+    return count
 
 
 @jit
@@ -55,12 +64,14 @@ def begin_cycle(loop: Loop, shared: StateFile, now_ns: int) -> None:
     timing.cycle += 1
     late_ns = max(waited_ns - loop.params.period_ns, 0)
     away_ns = min(max(gap_ns - loop.params.period_ns, 0), GAP_NS)
-    loop.quiet.away_ns += late_ns
     period_s = loop.params.period_ns * 1e-9
     slot = loop.history.next & (HISTORY_SLOTS - 1)
     loop.history.time_ns[slot] = now_ns
-    if loop.bus.unacknowledged_since_ns != 0:
-        loop.bus.unacknowledged_since_ns += late_ns
+    for number in range(loop.params.bus_count):
+        bus = loop.buses[number]
+        bus.quiet.away_ns += late_ns
+        if bus.unacknowledged_since_ns != 0:
+            bus.unacknowledged_since_ns += late_ns
     for joint in range(loop.params.joint_count):
         axis = loop.axes[joint]
         commanded = axis.commanded

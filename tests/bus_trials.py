@@ -99,7 +99,7 @@ class TrialArm(VirtualArm):
     def unplug(self) -> None:
         """Pull the adapter out: the reader notices, and nothing reaches the drives any more."""
         self._unplugged = True
-        received.close(self.loop[0], 5)
+        received.close(self.loop[0]["buses"][0], 5)
 
 
 @dataclass

@@ -19,9 +19,9 @@ def step(loop_address: int, state_address: int, now_ns: int) -> int:
 
 
 @jit
-def push(loop_address: int, time_ns: int, source: np.ndarray, count: int) -> None:
-    """`received.push`."""
-    received.push(record_at(loop_address, LOOP), time_ns, source, count)
+def push(loop_address: int, time_ns: int, source: np.ndarray, count: int, bus: int = 0) -> None:
+    """`received.push`, of one bus."""
+    received.push(record_at(loop_address, LOOP).buses[bus], time_ns, source, count)
 
 
 @jit
@@ -33,16 +33,18 @@ def take(loop_address: int, state_address: int) -> None:
 @jit
 def begin(loop_address: int, state_address: int) -> None:
     """`outgoing.begin`."""
-    outgoing.begin(record_at(loop_address, LOOP), record_at(state_address, STATE_FILE))
+    loop = record_at(loop_address, LOOP)
+    outgoing.begin(loop, record_at(state_address, STATE_FILE), loop.buses[0])
 
 
 @jit
 def put(loop_address: int, frame_id: int, kind: int, length: int, data: int, joined: int) -> bool:
     """`outgoing.put`."""
-    return outgoing.put(record_at(loop_address, LOOP), frame_id, kind, length, data, joined)
+    return outgoing.put(record_at(loop_address, LOOP).buses[0], 0, frame_id, kind, length, data, joined)
 
 
 @jit
-def took(loop_address: int, state_address: int, count: int) -> None:
-    """`outgoing.took`."""
-    outgoing.took(record_at(loop_address, LOOP), record_at(state_address, STATE_FILE), count)
+def took(loop_address: int, state_address: int, count: int, bus: int = 0) -> None:
+    """`outgoing.took`, of one bus."""
+    loop = record_at(loop_address, LOOP)
+    outgoing.took(loop, record_at(state_address, STATE_FILE), loop.buses[bus], count)

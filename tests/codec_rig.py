@@ -120,10 +120,10 @@ class Rig:
 
     def sends(self, function: str) -> list[str]:
         """The frames that one of the family's functions sends."""
-        self.record["outgoing"]["frames"] = self.record["outgoing"]["length"] = 0
+        outgoing = self.record["buses"][0]["outgoing"]
+        outgoing["frames"] = outgoing["length"] = 0
         getattr(self.codec, function)(self.record, 0, self.shared[0])
         found = []
-        outgoing = self.record["outgoing"]
         for number in range(outgoing["frames"]):
             frame_id, kind, size = (int(outgoing[name][number]) for name in ("ids", "kinds", "sizes"))
             data = data_of(outgoing["payloads"][number])
@@ -134,7 +134,7 @@ class Rig:
     def takes(self, frame_id: int, data: bytes, kind: int = STANDARD, length: int | None = None) -> None:
         """A frame comes from the bus."""
         length = len(data) if length is None else length
-        take_frame(self.record, self.shared[0], frame_id, kind, length, word(data), NOW_NS)
+        take_frame(self.record, self.shared[0], 0, frame_id, kind, length, word(data), NOW_NS)
 
     def hears(self, *frames: str) -> dict[str, Any]:
         """What the joint's drive has told by these frames and before: numbers in SI units, status as bits."""

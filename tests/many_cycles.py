@@ -31,7 +31,7 @@ def run_cycles(loop: Any, shared: Any, start_ns: int, count: int, heartbeat: int
         now_ns += loop.params.period_ns
         store_relaxed(heartbeat, now_ns)
         step(loop, shared, now_ns)
-        loop.outgoing.length = 0
+        loop.buses[0].outgoing.length = 0
     return now_ns
 
 
@@ -64,7 +64,7 @@ class RecordingArm(VirtualArm):
         self.chunks: list[tuple[int, int, bytes]] = []
 
     def listen(self, until_ns: int) -> None:
-        ring = self.loop[0]["received"]
+        ring = self.loop[0]["buses"][0]["received"]
         before = int(ring["arrived"]["chunks"])
         super().listen(until_ns)
         chunks = ring["chunks"]
@@ -96,7 +96,7 @@ def replay(
     for i in range(len(cycles_ns)):
         now_ns = cycles_ns[i]
         while chunk < len(chunks) and chunks[chunk, 0] <= now_ns:
-            received.push(loop, chunks[chunk, 1], data[chunks[chunk, 2] :], chunks[chunk, 3])
+            received.push(loop.buses[0], chunks[chunk, 1], data[chunks[chunk, 2] :], chunks[chunk, 3])
             chunk += 1
         store_relaxed(heartbeat, now_ns)
         for word in range(0, len(others), WORDS_A_LINE):
@@ -104,7 +104,7 @@ def replay(
         before_ns = monotonic_ns(clock)
         sent += step(loop, shared, now_ns)
         durations_ns[i] = monotonic_ns(clock) - before_ns
-        loop.outgoing.length = 0
+        loop.buses[0].outgoing.length = 0
     return sent
 
 

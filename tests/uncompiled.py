@@ -58,8 +58,10 @@ def _run_as_python() -> None:
     setattr(entries, "record_at", _record_at)  # noqa: B010
     put, hand_out = outgoing.put, rings.hand_out
 
-    def put_signed(loop: Any, frame_id: int, kind: int, length: int, data: int, joined: int, stops: int = -1) -> bool:
-        return put(loop, frame_id, kind, length, signed(data), joined, stops)
+    def put_signed(
+        bus: Any, made_ms: int, frame_id: int, kind: int, length: int, data: int, joined: int, stops: int = -1
+    ) -> bool:
+        return put(bus, made_ms, frame_id, kind, length, signed(data), joined, stops)
 
     def hand_out_signed(loop: Any, joint: int, frame_id: int, kind: int, length: int, data: int, time_ns: int) -> None:
         hand_out(loop, joint, frame_id, kind, length, signed(data), time_ns)

@@ -190,7 +190,7 @@ class VirtualArm:
     def step(self, now_ns: int) -> bytes:
         """Run the cycle that is planned for a time: the bytes that it leaves for the wire."""
         count = by_address.step(self.loop_address, self.state.address, now_ns)
-        sent: bytes = self.loop[0]["outgoing"]["bytes"][:count].tobytes()
+        sent: bytes = self.loop[0]["buses"][0]["outgoing"]["bytes"][:count].tobytes()
         return sent
 
     def write(self, data: bytes) -> None:

@@ -62,6 +62,8 @@ def _article(noun: str) -> str:
 def _are_told_apart(joints: Sequence[JointConfig]) -> None:
     for index, joint in enumerate(joints):
         for other in joints[:index]:
+            if other.bus != joint.bus:
+                continue
             common = common_identifiers(joint.drive, other.drive)
             if common is None:
                 continue

@@ -3,12 +3,14 @@
 from compilation.jit import jit
 from rtloop.drives import families
 from rtloop.memory import status as status_bits
+from rtloop.memory.buses import bus_of
+from rtloop.memory.link import PROBING, SILENT, SPEAKING
 from rtloop.memory.modes import is_disabled
 from rtloop.memory.state import Loop
 from rtloop.memory.updates import stop_left
 from rtloop.safety import transmission
 from rtloop.service import port, rings
-from rtloop.wire import outgoing, received
+from rtloop.wire import outgoing
 from rtloop.wire.outgoing import frame_bits
 from shm.layout import StateFile
 from shm.words import Mode
@@ -16,41 +18,36 @@ from shm.words import Mode
 
 @jit
 def encode(loop: Loop, shared: StateFile) -> None:
-    """Put this cycle's frames into the transmit buffer: motion first, then readings, then service."""
+    """Put this cycle's frames into the transmit buffers: motion first, then readings, then service."""
     params = loop.params
-    outgoing.begin(loop, shared)
-    if received.closed(loop) != 0:
-        say_nothing(loop)
-        return
-    leaves = transmission.frames_may_leave(loop)
-    leads = leaves and transmission.drives_are_led(loop)
+    for number in range(params.bus_count):
+        bus = loop.buses[number]
+        outgoing.begin(loop, shared, bus)
+        bus.speech = transmission.speech(bus)
+    leads = transmission.drives_are_led(loop)
     transmission.stop_displaced_drives(loop)
     for joint in range(params.joint_count):
         axis = loop.axes[joint]
         if not families.is_on_the_bus(loop, joint):
             mirror(loop, joint)
+        elif bus_of(loop, joint).speech == SILENT:
+            if axis.reply.unanswered_since_ns == 0:
+                axis.reply.unanswered_since_ns = loop.timing.now_ns  # its wire is gone: it is silent from now on
         elif axis.sent.stop_frames_due > 0:
             if families.stop(loop, joint, shared):
                 stop_left(axis)  # comes back if the wire does not take it
         elif leads and transmission.may_be_led(loop, joint):
             families.lead(loop, joint, shared)
-    if loop.mode != Mode.OFFLINE and leaves:
-        ask(loop, shared)
-    elif loop.mode != Mode.OFFLINE:
-        probe(loop, shared)
+    if loop.mode != Mode.OFFLINE:
+        for number in range(params.bus_count):
+            if loop.buses[number].speech == SPEAKING:
+                ask(loop, shared, number)
+            elif loop.buses[number].speech == PROBING:
+                probe(loop, shared, number)
     send_service_frames(loop, shared)
-    if loop.outgoing.length > 0:
-        loop.quiet.spoke_ns = loop.timing.now_ns
-
-
-@jit
-def say_nothing(loop: Loop) -> None:
-    """The wire is gone: drives are silent from now on, and waiting frames of service dialogues are dropped."""
-    for joint in range(loop.params.joint_count):
-        if families.is_on_the_bus(loop, joint) and loop.axes[joint].reply.unanswered_since_ns == 0:
-            loop.axes[joint].reply.unanswered_since_ns = loop.timing.now_ns
-    while rings.inbox(loop) > 0 and loop.service_in.records[rings.inbox_slot(loop)].kind == port.SEND:
-        rings.inbox_done(loop)
+    for number in range(params.bus_count):
+        if loop.buses[number].speech != SILENT and loop.buses[number].outgoing.length > 0:
+            loop.buses[number].quiet.spoke_ns = loop.timing.now_ns
 
 
 @jit
@@ -66,17 +63,17 @@ def mirror(loop: Loop, joint: int) -> None:
 
 
 @jit
-def ask(loop: Loop, shared: StateFile) -> None:
-    """Ask every drive that does not report its position for it, and one of them in turn for its status."""
-    bus, params = loop.bus, loop.params
+def ask(loop: Loop, shared: StateFile, number: int) -> None:
+    """Ask every drive of a bus that does not report its position for it, and one of them in turn for its status."""
+    bus, params = loop.buses[number], loop.params
     for joint in range(params.joint_count):
-        if families.is_on_the_bus(loop, joint):
+        if loop.joints[joint].bus == number and families.is_on_the_bus(loop, joint):
             axis = loop.axes[joint]
             if params.reported == 0 or transmission.report_is_asked_for(loop, joint):
                 families.ask_position(loop, joint, shared)
             if axis.reply.unanswered_since_ns == 0:
                 axis.reply.unanswered_since_ns = loop.timing.now_ns
-    bus.status_turn = (bus.status_turn + 1) % params.joint_count
+    bus.status_turn = next_turn(loop, number, bus.status_turn)
     if families.is_on_the_bus(loop, bus.status_turn):
         families.ask_status(loop, bus.status_turn, shared)
         if bus.unacknowledged_since_ns == 0:
@@ -84,34 +81,55 @@ def ask(loop: Loop, shared: StateFile) -> None:
 
 
 @jit
-def probe(loop: Loop, shared: StateFile) -> None:
+def next_turn(loop: Loop, number: int, turn: int) -> int:
+    """The joint of a bus whose turn it is after another's."""
+    for _ in range(loop.params.joint_count):
+        turn = (turn + 1) % loop.params.joint_count
+        if loop.joints[turn].bus == number:
+            break
+    return turn
+
+
+@jit
+def probe(loop: Loop, shared: StateFile, number: int) -> None:
     """Ask one drive in turn, now and then, whether anybody is there again: what is asked now only queues up."""
-    bus, params = loop.bus, loop.params
-    if not transmission.may_probe(loop):
+    bus = loop.buses[number]
+    if not transmission.may_probe(loop, number):
         return
     bus.probed_ns = loop.timing.now_ns
-    bus.probe_turn = (bus.probe_turn + 1) % params.joint_count
+    bus.probe_turn = next_turn(loop, number, bus.probe_turn)
     if families.is_on_the_bus(loop, bus.probe_turn):
         families.ask_position(loop, bus.probe_turn, shared)
 
 
 @jit
 def send_service_frames(loop: Loop, shared: StateFile) -> None:
-    """Send frames of service dialogues in the bus time that this cycle leaves; packets of one command together."""
-    bus = loop.bus
-    spare = loop.params.service_bits - loop.outgoing.bits
-    bus.service_credit_bits = min(bus.service_credit_bits + spare, loop.params.service_bits)
-    while rings.inbox(loop) > 0 and bus.service_credit_bits > 0:
-        if loop.service_in.records[rings.inbox_slot(loop)].kind != port.SEND:
+    """Send frames of service dialogues in the bus time that this cycle leaves; packets of one command together.
+
+    Those to a wire that is gone are dropped.
+    """
+    for number in range(loop.params.bus_count):
+        bus = loop.buses[number]
+        spare = bus.service_bits - bus.outgoing.bits
+        bus.service_credit_bits = min(bus.service_credit_bits + spare, bus.service_bits)
+    while rings.inbox(loop) > 0:
+        first = loop.service_in.records[rings.inbox_slot(loop)]
+        if first.kind != port.SEND:
             break
+        bus = bus_of(loop, first.joint)
+        if bus.speech == SILENT:
+            rings.inbox_done(loop)
+            continue
         packets = rings.command_length(loop)
-        if packets == 0 or not outgoing.has_room(loop, packets):
+        if bus.service_credit_bits <= 0 or packets == 0 or not outgoing.has_room(bus, packets):
             break
         for _ in range(packets):
             order = loop.service_in.records[rings.inbox_slot(loop)]
             joint = order.joint
             stops = joint if joint >= 0 and families.is_stop(loop, joint, order.id, order.payload) else -1
-            outgoing.send(loop, shared, order.id, order.frame_kind, order.length, order.payload, order.joined, stops)
+            outgoing.send(
+                loop, shared, joint, order.id, order.frame_kind, order.length, order.payload, order.joined, stops
+            )
             if joint >= 0:
                 families.note_what_was_said(loop, joint, order.id, order.payload)
             bus.service_credit_bits -= frame_bits(order.frame_kind, order.length)

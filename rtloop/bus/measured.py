@@ -1,4 +1,4 @@
-"""What the bus brought: bytes to frames, frames to the measured state of the joints.
+"""What the buses brought: bytes to frames, frames to the measured state of the joints.
 
 A reading is stamped with the time at which the encoder was read (the arrival of its bytes less the way back) and
 compared with what was commanded at that very instant.
@@ -6,7 +6,7 @@ compared with what was commanded at that very instant.
 
 from compilation.jit import jit
 from rtloop.drives import families
-from rtloop.memory.link import GRIPPER, NOBODY, RX_CHUNKS, WIRE_MOCK
+from rtloop.memory.link import GRIPPER, NOBODY, RX_CHUNKS, WIRE_MOCK, Bus
 from rtloop.memory.recorder import marks_of, record_frame
 from rtloop.memory.state import HISTORY_SLOTS, Loop
 from rtloop.safety import monitor, silence
@@ -18,6 +18,8 @@ from rtloop.wire.outgoing import frame_bits
 from shm.layout import MAX_JOINTS, StateFile
 from shm.words import BusState, Fault, Mode
 
+_ACTIVE = int(BusState.ACTIVE)  # numba compares no members of an enumeration with whole numbers
+
 SHORTEST_SHARE = 0.25
 """Two readings nearer than this share of a period give no velocity."""
 ENETDOWN = 100
@@ -28,83 +30,110 @@ SMOOTHING_S = 0.1
 @jit
 def take_what_the_bus_brought(loop: Loop, shared: StateFile) -> None:
     """Decode every byte that has come since the last cycle into measured state."""
-    parser = loop.parser
-    if loop.params.wire == WIRE_MOCK:
+    if loop.buses[0].interface == WIRE_MOCK:  # then there is no other
         return
-    chunks = received.chunks_arrived(loop)
-    while parser.chunks_taken < chunks:
-        chunk = loop.received.chunks[parser.chunks_taken & (RX_CHUNKS - 1)]
-        time_ns, end = chunk.time_ns, chunk.end
-        shared.counters.bytes_received += end - parser.bytes_taken
-        take_frames(loop, shared, end, time_ns)
-        parser.chunks_taken += 1
-    received.taken(loop, parser.bytes_taken, parser.chunks_taken)
+    for number in range(loop.params.bus_count):
+        take_bytes(loop, shared, number)
     take_positions(loop, shared)
-    shared.counters.receive_overflows = received.lost(loop)
-    outgoing.take_back(loop, shared, received.unsent(loop))
-    silence.follow(loop, shared)
-    error = received.closed(loop) - 1
-    if error >= 0:
-        loop.bus.transmit_inhibited = 1
-        if loop.mode != Mode.OFFLINE:
-            latch_fault(loop, shared, Fault.LINK_DOWN if error == ENETDOWN else Fault.WIRE, -1, float(error), 0.0)
+    lost = 0
+    for number in range(loop.params.bus_count):
+        bus = loop.buses[number]
+        lost += received.lost(bus)
+        outgoing.take_back(shared, bus, received.unsent(bus))
+        silence.follow(loop, bus)
+        error = received.closed(bus) - 1
+        if error >= 0:
+            bus.transmit_inhibited = 1
+            if loop.mode != Mode.OFFLINE:
+                latch_fault(loop, shared, Fault.LINK_DOWN if error == ENETDOWN else Fault.WIRE, -1, float(error), 0.0)
+    shared.counters.receive_overflows = lost
 
 
 @jit
-def take_frames(loop: Loop, shared: StateFile, end: int, time_ns: int) -> None:
+def take_bytes(loop: Loop, shared: StateFile, number: int) -> None:
+    """What has come on one bus."""
+    bus = loop.buses[number]
+    parser = bus.parser
+    chunks = received.chunks_arrived(bus)
+    while parser.chunks_taken < chunks:
+        chunk = bus.received.chunks[parser.chunks_taken & (RX_CHUNKS - 1)]
+        time_ns, end = chunk.time_ns, chunk.end
+        shared.counters.bytes_received += end - parser.bytes_taken
+        take_frames(loop, shared, number, end, time_ns)
+        parser.chunks_taken += 1
+    received.taken(bus, parser.bytes_taken, parser.chunks_taken)
+
+
+@jit
+def take_frames(loop: Loop, shared: StateFile, number: int, end: int, time_ns: int) -> None:
     """The frames that end before `end`."""
     found = FRAME
     while found != NOTHING:
-        found, frame_id, kind, length, data = wires.next_frame(loop, shared, end)
+        found, frame_id, kind, length, data = wires.next_frame(loop.buses[number], shared, end)
         if found == FRAME:
-            take_frame(loop, shared, frame_id, kind, length, data, time_ns)
+            take_frame(loop, shared, number, frame_id, kind, length, data, time_ns)
         elif found == CONTROLLER_ERROR:
-            take_error(loop, shared, frame_id, data)
+            take_error(loop, shared, loop.buses[number], frame_id, data)
 
 
 @jit
-def take_error(loop: Loop, shared: StateFile, error_class: int, data: int) -> None:
+def take_error(loop: Loop, shared: StateFile, bus: Bus, error_class: int, data: int) -> None:
     """The state that the bus controller reports. Only bus-off is a fault by itself: nothing leaves any more.
 
     What the kernel held back at bus-off is dropped there; from here on nothing but readings may be asked for.
     """
     counters = shared.counters
     counters.error_frames += 1
+    bus.quiet.error_frames += 1
     if can_errors.unacknowledged(error_class, data):
         counters.unacknowledged += 1
-    before = counters.bus_state
-    counters.bus_state = can_errors.state_after(before, error_class, data)
-    if counters.bus_state == BusState.BUS_OFF and loop.bus.transmit_inhibited == 0:
-        loop.bus.transmit_inhibited = 1
+        bus.quiet.unacknowledged += 1
+    bus.state = can_errors.state_after(bus.state, error_class, data)
+    show_worst_state(loop, shared)
+    if bus.state == BusState.BUS_OFF and bus.transmit_inhibited == 0:
+        bus.transmit_inhibited = 1
         latch_fault(loop, shared, Fault.BUS_OFF, -1, float(error_class), 0.0)
 
 
 @jit
-def take_frame(loop: Loop, shared: StateFile, frame_id: int, kind: int, length: int, data: int, time_ns: int) -> None:
+def show_worst_state(loop: Loop, shared: StateFile) -> None:
+    """Show the worst state of the arm's buses."""
+    worst = _ACTIVE
+    for number in range(loop.params.bus_count):
+        worst = max(worst, loop.buses[number].state)
+    shared.counters.bus_state = worst
+
+
+@jit
+def take_frame(
+    loop: Loop, shared: StateFile, number: int, frame_id: int, kind: int, length: int, data: int, time_ns: int
+) -> None:
     """A frame from a drive: into the axis it belongs to, and to the conversation that may wait for it.
 
     Adapters may echo what they send. A question is never as long as its answer and no answer begins as a command does,
     so an echo means nothing here.
     """
+    bus = loop.buses[number]
     shared.counters.frames_received += 1
+    bus.quiet.frames_received += 1
     shared.counters.bits_on_bus += frame_bits(kind, length)
     record_frame(loop, shared, time_ns, frame_id, marks_of(kind), length, data)
-    joint = whose(loop, frame_id, kind)
+    joint = whose(loop, number, frame_id, kind)
     if joint == NOBODY:
         return
-    loop.bus.unheard_frames = 0
-    loop.quiet.heard_ns = time_ns
+    bus.unheard_frames = 0
+    bus.quiet.heard_ns = time_ns
     rings.hand_out(loop, joint, frame_id, kind, length, data, time_ns)
     if joint != GRIPPER:
         families.receive(loop, joint, shared, frame_id, kind, length, data, time_ns)
 
 
 @jit
-def whose(loop: Loop, frame_id: int, kind: int) -> int:
-    """The joint whose drive sends such a frame, GRIPPER or NOBODY."""
-    for number in range(loop.params.listener_count):
-        listener = loop.listeners[number]
-        if (frame_id ^ listener.match) & listener.mask == 0 and kind == listener.kind:
+def whose(loop: Loop, number: int, frame_id: int, kind: int) -> int:
+    """The joint whose drive sends such a frame on a bus, GRIPPER or NOBODY."""
+    for row in range(loop.params.listener_count):
+        listener = loop.listeners[row]
+        if (frame_id ^ listener.match) & listener.mask == 0 and kind == listener.kind and listener.bus == number:
             return int(listener.joint)
     return NOBODY
 

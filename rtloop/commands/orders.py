@@ -79,11 +79,13 @@ def begin_bring_up(loop: Loop, shared: StateFile) -> None:
     forget_fault(loop)
     slow_down(loop, _ANY_REASON, False)
     forget_motion(loop.motion)
-    loop.bus.transmit_inhibited = 0
     dialogue.bring_up_asked = dialogue.release_asked = dialogue.home_asked = dialogue.reference_asked = 0
     dialogue.referencing_joint = -1
-    loop.bus.unacknowledged_since_ns = 0
-    shared.counters.bus_state = BusState.ACTIVE  # until the controller says otherwise
+    for number in range(loop.params.bus_count):
+        bus = loop.buses[number]
+        bus.transmit_inhibited = bus.unacknowledged_since_ns = 0
+        bus.state = BusState.ACTIVE  # until the controller says otherwise
+    shared.counters.bus_state = BusState.ACTIVE
     for joint in range(loop.params.joint_count):
         references.await_bring_up(loop, joint)
         forget_drive(loop.axes[joint], loop.timing.now_ns)

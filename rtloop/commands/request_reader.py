@@ -4,7 +4,9 @@ import math
 
 from compilation.jit import jit
 from rtloop.commands.setpoint_reader import CYCLES_TO_BECOME_VISIBLE
+from rtloop.memory.buses import bus_of
 from rtloop.memory.events import answer_request
+from rtloop.memory.link import GRIPPER
 from rtloop.memory.modes import change_mode, is_disabled
 from rtloop.memory.state import Loop
 from rtloop.safety.faults import latch_fault
@@ -76,7 +78,7 @@ def _obey(loop: Loop, shared: StateFile) -> int:
     if kind == Request.CLEAR_FAULT:
         if loop.mode != Mode.FAULT:
             return Answer.REFUSED_MODE
-        if received.closed(loop) != 0:
+        if lacks_a_wire(loop):
             return Answer.REFUSED_WIRE
         if runs(loop) or not at_rest(loop):
             return Answer.REFUSED_MOVING
@@ -101,6 +103,15 @@ def _obey(loop: Loop, shared: StateFile) -> int:
 
 
 @jit
+def lacks_a_wire(loop: Loop) -> bool:
+    """Whether the wire of one of the arm's buses is gone."""
+    gone = 0
+    for number in range(loop.params.bus_count):
+        gone += received.closed(loop.buses[number]) != 0
+    return gone > 0
+
+
+@jit
 def _pass_to_gripper(loop: Loop) -> int:
     """Leave a request for the gripper's conversation, whatever the arm is doing: a newer one replaces an older one."""
     gripper, params, request = loop.gripper, loop.params, loop.scratch_request
@@ -108,7 +119,7 @@ def _pass_to_gripper(loop: Loop) -> int:
         return Answer.REFUSED_UNKNOWN
     if loop.mode == Mode.OFFLINE:
         return Answer.REFUSED_MODE
-    if received.closed(loop) != 0:
+    if received.closed(bus_of(loop, GRIPPER)) != 0:
         return Answer.REFUSED_WIRE
     if loop.operator.held == 1 and request.kind != Request.GRIP_STOP:
         return Answer.REFUSED_HELD

@@ -132,8 +132,8 @@ class Healing:
             or int(memory["motion"]["closing"]) == 1
         ):
             return False
-        if int(memory["bus"]["transmit_inhibited"]) == 1:
-            return False  # the wire was lost, or the controller left the bus, during this fault
+        if np.any(memory["buses"]["transmit_inhibited"][: len(self._arm.buses)]):
+            return False  # a wire was lost, or the controller left the bus, during this fault
         if len(self._healed_ns) == MOST_HEALED and now_ns - self._healed_ns[0] < WITHIN_NS:
             return False
         lost = {Unreferenced(axes[joint]["reference"]["unreferenced_reason"]) for joint in range(len(self._arm.joints))}

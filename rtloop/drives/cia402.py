@@ -9,6 +9,7 @@ from rtloop.drives import cia402_protocol as protocol
 from rtloop.drives import following, receiving, words
 from rtloop.drives.errors import code_meanings
 from rtloop.memory import status as status_bits
+from rtloop.memory.buses import bus_of
 from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop
 from rtloop.safety import monitor, setpoint_check
@@ -48,7 +49,7 @@ def send_target(loop: Loop, joint: int, shared: StateFile, position_rad: float, 
     row = loop.joints[joint]
     counts = words.bounded((position_rad + row.zero_rad) * row.command_per_rad, HIGHEST_COUNT)
     frame_id = RPDO1 + row.address
-    return bool(outgoing.send(loop, shared, frame_id, STANDARD, RPDO1_BYTES, target_data(counts), 0, stops))
+    return bool(outgoing.send(loop, shared, joint, frame_id, STANDARD, RPDO1_BYTES, target_data(counts), 0, stops))
 
 
 @jit
@@ -77,11 +78,12 @@ def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
 
 @jit
 def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
-    """Send a SYNC, once a cycle: all drives of the family answer it with their position, with a new target or not."""
-    if loop.bus.sync_cycle != loop.timing.cycle:
-        if not outgoing.send(loop, shared, SYNC, STANDARD, 0, 0):
+    """Send a SYNC, once a cycle on each bus: all drives there answer with their position, with a new target or not."""
+    bus = bus_of(loop, joint)
+    if bus.sync_cycle != loop.timing.cycle:
+        if not outgoing.send(loop, shared, joint, SYNC, STANDARD, 0, 0):
             return
-        loop.bus.sync_cycle = loop.timing.cycle
+        bus.sync_cycle = loop.timing.cycle
     receiving.note_question(loop, joint)
 
 

@@ -191,7 +191,7 @@ def _is_a_drive(host: Host, node: Node) -> Part[None]:
         yield say(_order(node, protocol.START_NODE))
         answer = yield reading(node.number, protocol.DEVICE_TYPE)
     if answer is None:
-        rate = f"its node number and bit rate ({host.arm.bus.bitrate} bit/s)"
+        rate = f"its node number and bit rate ({host.arm.bus_of(node.config).bitrate} bit/s)"
         raise unanswered(node.joint, node.config, f"node {node.number}", rate)
     device = value_in(answer, protocol.DEVICE_TYPE)
     if device & 0xFFFF != protocol.PROFILE:

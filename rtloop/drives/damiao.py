@@ -109,7 +109,7 @@ def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
 @jit
 def command(loop: Loop, joint: int, shared: StateFile, frame_id: int, data: int, stops: int) -> bool:
     """Send a motion command, which the drive answers with its feedback; False if the transmit buffer has no room."""
-    if not outgoing.send(loop, shared, frame_id, STANDARD, 8, data, 0, stops):
+    if not outgoing.send(loop, shared, joint, frame_id, STANDARD, 8, data, 0, stops):
         return False
     loop.axes[joint].sent.asked_cycle = loop.timing.cycle
     receiving.note_question(loop, joint)
@@ -122,7 +122,7 @@ def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
         return
     data = words.placed(protocol.OWNER, loop.joints[joint].address)
     data |= words.placed(protocol.OPERATION, protocol.FEEDBACK)
-    if outgoing.send(loop, shared, REGISTERS_ID, STANDARD, 8, data):
+    if outgoing.send(loop, shared, joint, REGISTERS_ID, STANDARD, 8, data):
         receiving.note_question(loop, joint)
 
 

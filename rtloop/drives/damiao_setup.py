@@ -244,7 +244,7 @@ def _sound(host: Host, joint: int) -> Part[Feedback]:
             config,
             f"motor_id {drive.motor_id:#x}",
             "its ESC_ID and MST_ID (registers 8 and 7, in the maker's tool), its bit rate "
-            f"({host.arm.bus.bitrate} bit/s, register 35)",
+            f"({host.arm.bus_of(config).bitrate} bit/s, register 35)",
             f" on its master_id {drive.master_id:#x}",
         )
 

@@ -10,6 +10,7 @@ from config.drives.mks import FARTHEST_COUNTS
 from rtloop.drives import leading, receiving, words
 from rtloop.drives import mks_protocol as protocol
 from rtloop.memory import status as status_bits
+from rtloop.memory.buses import round_of
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.state import Loop
 from rtloop.safety import setpoint_check
@@ -54,7 +55,7 @@ def send(loop: Loop, shared: StateFile, joint: int, data: int, length: int, stop
     """Send `length` bytes and their checksum; False if the transmit buffer has no room."""
     can_id = loop.joints[joint].address
     packed = closed(can_id, data, length)
-    return bool(outgoing.send(loop, shared, can_id, STANDARD, length + 1, packed, 0, stops))
+    return bool(outgoing.send(loop, shared, joint, can_id, STANDARD, length + 1, packed, 0, stops))
 
 
 @jit
@@ -76,7 +77,7 @@ def lead(loop: Loop, joint: int, shared: StateFile) -> None:
         return
     rpm = leading.whole_rpm(loop, joint, speed_rad_s, protocol.HIGHEST_RPM)
     counts = words.bounded((target_rad + row.zero_rad) * row.command_per_rad, FARTHEST_COUNTS)
-    outgoing.send(loop, shared, row.address, STANDARD, 8, pack_target(row.address, rpm, row.acc_byte, counts))
+    outgoing.send(loop, shared, joint, row.address, STANDARD, 8, pack_target(row.address, rpm, row.acc_byte, counts))
 
 
 @jit
@@ -100,7 +101,7 @@ def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
 def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     """Ask in turn whether the drive is enabled and whether it has stalled; after a bad answer, ask the same again."""
     axis = loop.axes[joint]
-    asked = protocol.READ_STALLED if (loop.timing.cycle // loop.params.joint_count) & 1 else protocol.READ_ENABLED
+    asked = protocol.READ_STALLED if round_of(loop, joint) & 1 else protocol.READ_ENABLED
     if axis.checks.bad_statuses > 0:
         asked = protocol.READ_STALLED if axis.drive.status & status_bits.PROTECTED else protocol.READ_ENABLED
     send(loop, shared, joint, asked, 1)

@@ -58,7 +58,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     config = host.arm.joints[joint]
     can_id = _can_id(config)
     if (yield ask(can_id, 8, protocol.READ_POSITION)) is None:
-        menu = f"CanID and CanRate ({host.arm.bus.bitrate} bit/s) in its menu"
+        menu = f"CanID and CanRate ({host.arm.bus_of(config).bitrate} bit/s) in its menu"
         raise unanswered(joint, config, f"CanID {can_id}", menu)
     was_homing = yield from _stand(host, joint)
     reason = Unreferenced.INCREMENTAL
@@ -260,8 +260,8 @@ def _settle_answers(host: Host, joint: int) -> Part[None]:
             name = "on" if wanted else "off"
             host.tell(f"{config.name}: acknowledgements turned {name} in its drive, which keeps that.")
         return
-    loud = host.arm.model_copy(update={"bus": host.arm.bus.model_copy(update={"acknowledge": True})})
-    fits = budget(loud)
+    part, _ = host.arm.on_every_bus(acknowledge=True).part_of(joint)
+    fits = budget(part)
     if not fits.fits:
         raise DialogueFailed(
             joint,

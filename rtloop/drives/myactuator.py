@@ -14,6 +14,7 @@ from rtloop.drives import myactuator_protocol as protocol
 from rtloop.drives.errors import meanings
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import Axis
+from rtloop.memory.buses import round_of
 from rtloop.memory.frame_words import STANDARD
 from rtloop.memory.state import Loop
 from rtloop.safety import setpoint_check
@@ -56,19 +57,19 @@ def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     axis.sent.rpm_remainder = min(max(wanted_dps - speed_dps, -1.0), 1.0) / DPS_PER_RPM
     angle = words.bounded((target + row.zero_rad) * row.command_per_rad, HIGHEST_ANGLE)
     data = target_with_speed(angle, min(max(speed_dps, 1), HIGHEST_SPEED_DPS))
-    if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, data):
+    if outgoing.send(loop, shared, joint, identifier(loop, joint), STANDARD, 8, data):
         axis.sent.led_cycle = loop.timing.cycle
 
 
 @jit
 def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     """Command a stop with the loop closed (81); False if the transmit buffer has no room."""
-    return bool(outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, protocol.STOP, 0, joint))
+    return bool(outgoing.send(loop, shared, joint, identifier(loop, joint), STANDARD, 8, protocol.STOP, 0, joint))
 
 
 @jit
 def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
-    if outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, protocol.ANGLE):
+    if outgoing.send(loop, shared, joint, identifier(loop, joint), STANDARD, 8, protocol.ANGLE):
         receiving.note_question(loop, joint)
 
 
@@ -79,10 +80,10 @@ def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     After a bad status the status alone is asked for, so that the next one tells at once whether to believe it.
     """
     axis = loop.axes[joint]
-    turn = loop.timing.cycle // loop.params.joint_count
+    turn = round_of(loop, joint)
     silent = axis.sent.led_cycle != loop.timing.cycle and axis.checks.bad_statuses == 0
     what = protocol.FEEDBACK if silent and turn & 1 else protocol.STATUS
-    outgoing.send(loop, shared, identifier(loop, joint), STANDARD, 8, what)
+    outgoing.send(loop, shared, joint, identifier(loop, joint), STANDARD, 8, what)
 
 
 @jit

@@ -126,7 +126,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     config = host.arm.joints[joint]
     drive = _drive(config)
     if (yield asked(drive, protocol.ANGLE)) is None:
-        rate = f"the bit rate ({host.arm.bus.bitrate} bit/s; motors come with 1000000)"
+        rate = f"the bit rate ({host.arm.bus_of(config).bitrate} bit/s; motors come with 1000000)"
         raise unanswered(joint, config, f"motor_id {drive.motor_id}", f"its ID and {rate}")
     restarted = yield from _without_errors(host, joint)
     if host.heals and not (yield from kept_power(host, joint)):

@@ -11,6 +11,7 @@ from rtloop.drives import following, receiving, words
 from rtloop.drives import odrive_protocol as protocol
 from rtloop.drives.errors import meanings
 from rtloop.memory import status as status_bits
+from rtloop.memory.buses import round_of
 from rtloop.memory.frame_words import REMOTE, STANDARD
 from rtloop.memory.state import Loop
 from rtloop.safety import monitor, setpoint_check
@@ -46,7 +47,7 @@ def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     if not setpoint_check.may_be_sent(loop, shared, joint, position_rad, velocity_rad_s):
         return
     data = input_position((position_rad + row.zero_rad) * row.command_per_rad, velocity_rad_s * row.command_per_rad)
-    outgoing.send(loop, shared, identifier(loop, joint, protocol.INPUT_POSITION), STANDARD, 8, data)
+    outgoing.send(loop, shared, joint, identifier(loop, joint, protocol.INPUT_POSITION), STANDARD, 8, data)
 
 
 @jit
@@ -60,21 +61,23 @@ def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
         return True
     data = input_position((axis.measured.position_rad + row.zero_rad) * row.command_per_rad, 0.0)
     frame_id = identifier(loop, joint, protocol.INPUT_POSITION)
-    return bool(outgoing.send(loop, shared, frame_id, STANDARD, 8, data, 0, joint))
+    return bool(outgoing.send(loop, shared, joint, frame_id, STANDARD, 8, data, 0, joint))
 
 
 @jit
 def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
-    if outgoing.send(loop, shared, identifier(loop, joint, protocol.ESTIMATES), REMOTE, protocol.ANSWER_BYTES, 0):
+    if outgoing.send(
+        loop, shared, joint, identifier(loop, joint, protocol.ESTIMATES), REMOTE, protocol.ANSWER_BYTES, 0
+    ):
         receiving.note_question(loop, joint)
 
 
 @jit
 def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     """Ask for bus voltage and motor current in turn; the status comes by itself with the heartbeat."""
-    turn = loop.timing.cycle // loop.params.joint_count
+    turn = round_of(loop, joint)
     what = protocol.CURRENT if turn & 1 and loop.joints[joint].effort_per_unit != 0.0 else protocol.BUS
-    outgoing.send(loop, shared, identifier(loop, joint, what), REMOTE, protocol.ANSWER_BYTES, 0)
+    outgoing.send(loop, shared, joint, identifier(loop, joint, what), REMOTE, protocol.ANSWER_BYTES, 0)
 
 
 @jit

@@ -74,7 +74,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     config = host.arm.joints[joint]
     node = _drive(config).node_id
     if (yield asked(node, protocol.ESTIMATES)) is None:
-        rate = f"{host.arm.bus.bitrate} bit/s; axis.config.can.node_id and can.config.baud_rate"
+        rate = f"{host.arm.bus_of(config).bitrate} bit/s; axis.config.can.node_id and can.config.baud_rate"
         raise unanswered(joint, config, f"node {node}", f"its node and the bit rate ({rate})")
     firmware = yield from _firmware(node)
     beat = yield from _without_errors(host, joint, firmware)

@@ -5,6 +5,7 @@ Positions, velocities and efforts are those of the joint.
 
 from compilation.jit import jit
 from rtloop.memory.axis import QUESTIONS
+from rtloop.memory.buses import bus_of
 from rtloop.memory.state import Loop
 from rtloop.safety import monitor
 from shm.layout import StateFile
@@ -64,11 +65,12 @@ def receive_voltage(loop: Loop, joint: int, voltage_v: float) -> None:
 
 @jit
 def receive_status(loop: Loop, joint: int, status: int) -> None:
-    """Take status bits (`rtloop.memory.status`); after a first bad status this drive is the next one asked for it."""
-    loop.bus.unacknowledged_since_ns = 0
+    """Take status bits (`rtloop.memory.status`); after a first bad one this drive is the next to be asked."""
+    bus = bus_of(loop, joint)
+    bus.unacknowledged_since_ns = 0
     monitor.take_status(loop, joint, status)
     if loop.axes[joint].checks.bad_statuses == 1:
-        loop.bus.status_turn = joint - 1
+        bus.status_turn = joint - 1
 
 
 @jit

@@ -21,6 +21,7 @@ from rtloop.drives import following, leading, receiving, words
 from rtloop.drives import robstride_protocol as protocol
 from rtloop.drives.errors import meanings
 from rtloop.memory import status as status_bits
+from rtloop.memory.buses import bus_of, round_of
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.state import Loop
 from rtloop.safety import monitor, setpoint_check
@@ -59,7 +60,7 @@ def parameter(index: int, value: float) -> int:
 def send_set_point(loop: Loop, joint: int, shared: StateFile, position: float, velocity: float, stops: int) -> bool:
     """Send a set-point of type 1 (rad and rad/s of the output shaft); False if the transmit buffer has no room."""
     frame_id, data = identifier(loop, joint, CONTROL, protocol.NO_TORQUE), set_point(loop, joint, position, velocity)
-    sent = outgoing.send(loop, shared, frame_id, EXTENDED, 8, data, 0, stops)
+    sent = outgoing.send(loop, shared, joint, frame_id, EXTENDED, 8, data, 0, stops)
     return told(loop, joint, sent)
 
 
@@ -67,11 +68,13 @@ def send_set_point(loop: Loop, joint: int, shared: StateFile, position: float, v
 def send_target(loop: Loop, joint: int, shared: StateFile, speed: float, target: float, stops: int) -> bool:
     """Send speed limit and target of the motor's own position loop (rad/s and rad of its output shaft)."""
     frame_id = identifier(loop, joint, WRITE, loop.joints[joint].host_id)
-    if not outgoing.has_room(loop, 2):
+    if not outgoing.has_room(bus_of(loop, joint), 2):
         return False
-    outgoing.send(loop, shared, frame_id, EXTENDED, 8, parameter(protocol.SPEED_LIMIT, speed), 1)
+    outgoing.send(loop, shared, joint, frame_id, EXTENDED, 8, parameter(protocol.SPEED_LIMIT, speed), 1)
     receiving.note_question(loop, joint)
-    sent = outgoing.send(loop, shared, frame_id, EXTENDED, 8, parameter(protocol.POSITION_TARGET, target), 0, stops)
+    sent = outgoing.send(
+        loop, shared, joint, frame_id, EXTENDED, 8, parameter(protocol.POSITION_TARGET, target), 0, stops
+    )
     return told(loop, joint, sent)
 
 
@@ -132,7 +135,7 @@ def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
     if loop.axes[joint].sent.asked_cycle == loop.timing.cycle:
         return
     frame_id = identifier(loop, joint, READ, loop.joints[joint].host_id)
-    if outgoing.send(loop, shared, frame_id, EXTENDED, 8, protocol.POSITION):
+    if outgoing.send(loop, shared, joint, frame_id, EXTENDED, 8, protocol.POSITION):
         receiving.note_question(loop, joint)
 
 
@@ -143,11 +146,11 @@ def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     The request for a feedback sets the target of the motor's speed mode to 0, which moves nothing in any mode.
     """
     host_id = loop.joints[joint].host_id
-    turn = loop.timing.cycle // loop.params.joint_count
+    turn = round_of(loop, joint)
     if loop.axes[joint].sent.asked_cycle == loop.timing.cycle or turn & 1:
-        outgoing.send(loop, shared, identifier(loop, joint, READ, host_id), EXTENDED, 8, protocol.VOLTAGE)
+        outgoing.send(loop, shared, joint, identifier(loop, joint, READ, host_id), EXTENDED, 8, protocol.VOLTAGE)
     elif outgoing.send(
-        loop, shared, identifier(loop, joint, WRITE, host_id), EXTENDED, 8, parameter(protocol.SPEED_TARGET, 0.0)
+        loop, shared, joint, identifier(loop, joint, WRITE, host_id), EXTENDED, 8, parameter(protocol.SPEED_TARGET, 0.0)
     ):
         receiving.note_question(loop, joint)
 

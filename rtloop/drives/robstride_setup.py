@@ -77,7 +77,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     drive = _drive(config)
     state = yield from _asked_how_it_is(drive)
     if state is None:
-        rate = f"the bit rate ({host.arm.bus.bitrate} bit/s; RobStrides come with 1000000)"
+        rate = f"the bit rate ({host.arm.bus_of(config).bitrate} bit/s; RobStrides come with 1000000)"
         raise unanswered(joint, config, f"motor_id {drive.motor_id}", f"its ID and {rate}")
     state = yield from without_error(
         host,

@@ -68,7 +68,10 @@ class Setup(Protocol):
     """The functions that every `<family>_setup.py` has."""
 
     def fill(self, row: np.void, joint: JointConfig, arm: ArmConfig) -> None:
-        """Write the family's parameters into a row of `memory.axis.JointParams`; the common ones are there already."""
+        """Write the family's parameters into a row of `memory.axis.JointParams`; the common ones are there already.
+
+        `arm` is the part of the arm (`ArmConfig.parts`) that is on the bus of the joint's drive.
+        """
 
     def bring_up(self, host: Host, joint: int) -> Part[Found]:
         """Check that the drive answers, matches the arm file and holds its position; raises DialogueFailed.

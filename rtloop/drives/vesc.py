@@ -14,6 +14,7 @@ from rtloop.drives import vesc_protocol as protocol
 from rtloop.drives.errors import code_meanings
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import JointParams
+from rtloop.memory.buses import round_of
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.state import Loop
 from rtloop.safety import monitor, setpoint_check
@@ -43,7 +44,7 @@ def send_position(loop: Loop, joint: int, shared: StateFile, position_rad: float
     row = loop.joints[joint]
     frame_id = protocol.SET_POSITION << PACKET_BIT | row.address
     data = set_position((position_rad + row.zero_rad) * row.command_per_rad / STEPS_PER_TURN)
-    return bool(outgoing.send(loop, shared, frame_id, EXTENDED, protocol.COMMAND_BYTES, data, 0, stops))
+    return bool(outgoing.send(loop, shared, joint, frame_id, EXTENDED, protocol.COMMAND_BYTES, data, 0, stops))
 
 
 @jit
@@ -82,13 +83,13 @@ def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     After a first bad answer the same is asked again, so that the next one tells at once whether to believe it.
     """
     axis, row = loop.axes[joint], loop.joints[joint]
-    mask = protocol.RELEASED if loop.timing.cycle // loop.params.joint_count & 1 else protocol.FAULT
+    mask = protocol.RELEASED if round_of(loop, joint) & 1 else protocol.FAULT
     if axis.checks.bad_statuses == 1:
         mask = protocol.RELEASED if axis.drive.error_code == 0 else protocol.FAULT
     data = words.placed(protocol.SENDER, row.address | HOST_BIT) | words.placed(protocol.HOW, protocol.TO_BE_ANSWERED)
     data |= words.placed(protocol.COMMAND, protocol.GET_VALUES_SELECTIVE) | words.placed(protocol.MASK, mask)
     frame_id = protocol.SHORT_BUFFER << PACKET_BIT | row.address
-    outgoing.send(loop, shared, frame_id, EXTENDED, protocol.QUESTION_BYTES, data)
+    outgoing.send(loop, shared, joint, frame_id, EXTENDED, protocol.QUESTION_BYTES, data)
 
 
 @jit

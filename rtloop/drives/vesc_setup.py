@@ -43,7 +43,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     number = drive_of(config).controller_id
     answer = yield asked(number, protocol.FAULT)
     if answer is None:
-        rate = f"the bit rate ({host.arm.bus.bitrate} bit/s) and CAN Mode VESC in VESC Tool"
+        rate = f"the bit rate ({host.arm.bus_of(config).bitrate} bit/s) and CAN Mode VESC in VESC Tool"
         raise unanswered(joint, config, f"controller_id {number}", f"its VESC ID, {rate}")
 
     def fault() -> Part[int]:

@@ -150,7 +150,7 @@ def lead(loop: Loop, joint: int, shared: StateFile) -> None:
     if loop.params.fast_targets == 1:
         target = fast_target(loop, joint)
         if setpoint_check.may_be_sent(loop, shared, joint, target):
-            outgoing.send(loop, shared, frame_id, EXTENDED, 6, pack_fast_target(to_pulses(loop, joint, target)))
+            outgoing.send(loop, shared, joint, frame_id, EXTENDED, 6, pack_fast_target(to_pulses(loop, joint, target)))
         return
     # whole rpm keep the mean by being up to half an rpm off for a period
     target, speed = leading.target_ahead(loop, joint, 0.5 / row.rpm_per_rad_s)
@@ -158,8 +158,8 @@ def lead(loop: Loop, joint: int, shared: StateFile) -> None:
         return
     rpm = leading.whole_rpm(loop, joint, speed, protocol.HIGHEST_RPM)
     first, second = pack_target(rpm, int(row.acc_byte), to_pulses(loop, joint, target))
-    outgoing.send(loop, shared, frame_id, EXTENDED, 8, first, 1)
-    outgoing.send(loop, shared, frame_id | 1, EXTENDED, 5, second)
+    outgoing.send(loop, shared, joint, frame_id, EXTENDED, 8, first, 1)
+    outgoing.send(loop, shared, joint, frame_id | 1, EXTENDED, 5, second)
 
 
 @jit
@@ -168,13 +168,13 @@ def stop(loop: Loop, joint: int, shared: StateFile) -> bool:
     frame_id = loop.joints[joint].address << 8
     if loop.axes[joint].reference.unreferenced_reason == Unreferenced.NOT_HOMED:
         # the drive may be in a homing run, which a stop need not end
-        outgoing.send(loop, shared, frame_id, EXTENDED, 3, END_HOMING)
-    return bool(outgoing.send(loop, shared, frame_id, EXTENDED, 4, STOP, 0, joint))
+        outgoing.send(loop, shared, joint, frame_id, EXTENDED, 3, END_HOMING)
+    return bool(outgoing.send(loop, shared, joint, frame_id, EXTENDED, 4, STOP, 0, joint))
 
 
 @jit
 def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
-    if outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_POSITION):
+    if outgoing.send(loop, shared, joint, loop.joints[joint].address << 8, EXTENDED, 2, READ_POSITION):
         receiving.note_question(loop, joint)
 
 
@@ -182,8 +182,8 @@ def ask_position(loop: Loop, joint: int, shared: StateFile) -> None:
 def ask_status(loop: Loop, joint: int, shared: StateFile) -> None:
     """Ask for the status; of a drive in protection, ask for the cause first, so that it is known before the status."""
     if loop.axes[joint].drive.status & status_bits.PROTECTED:
-        outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_CAUSE)
-    outgoing.send(loop, shared, loop.joints[joint].address << 8, EXTENDED, 2, READ_STATUS)
+        outgoing.send(loop, shared, joint, loop.joints[joint].address << 8, EXTENDED, 2, READ_CAUSE)
+    outgoing.send(loop, shared, joint, loop.joints[joint].address << 8, EXTENDED, 2, READ_STATUS)
 
 
 @jit

@@ -51,7 +51,7 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
 def _bring_up(host: Host, joint: int, config: JointConfig, drive: ZdtDrive) -> Answered[Found]:
     answer = yield Ask(protocol.ASK_FIRMWARE, (4, 6))
     if answer is None:
-        menu = f"its address and the bit rate ({host.arm.bus.bitrate} bit/s) in its menu"
+        menu = f"its address and the bit rate ({host.arm.bus_of(config).bitrate} bit/s) in its menu"
         raise unanswered(joint, config, f"address {drive.address}", menu)
     version = protocol.version_of(answer)
     if version is None:
@@ -268,8 +268,8 @@ def _settle_reports(host: Host, joint: int, config: JointConfig, version: Versio
 
 
 def _require_budget_with_acknowledgements(host: Host, joint: int, config: JointConfig, version: Version) -> None:
-    loud = host.arm.model_copy(update={"bus": host.arm.bus.model_copy(update={"acknowledge": True})})
-    found = budget(loud)
+    part, _ = host.arm.on_every_bus(acknowledge=True).part_of(joint)
+    found = budget(part)
     if not found.fits:
         raise DialogueFailed(
             joint,

@@ -262,10 +262,10 @@ def replace_file(path: Path, text: str) -> None:
 
 
 def channel_of(arm: ArmConfig) -> str:
-    """Interface and channel of the arm's drives: what is stored of the drives is valid at this channel alone."""
-    return f"{arm.bus.interface}:{arm.bus.resolved_channel}"
+    """Interface and channel of the arm's buses: what is stored of the drives is valid there alone."""
+    return ",".join(f"{bus.interface}:{bus.resolved_channel}" for bus in arm.buses)
 
 
 def is_simulated(arm: ArmConfig) -> bool:
     """Whether the arm is simulated: its drives begin wherever they are told to, so nothing is stored of them."""
-    return arm.bus.interface == "mock" or str(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
+    return all(bus.interface == "mock" or bus.resolved_channel.startswith(PSEUDO_TERMINALS) for bus in arm.buses)

@@ -18,6 +18,7 @@ class JointParams(OwnedRecord, writers=("commands.orders",)):
     """A joint as its arm file has it, in the units of its drive."""
 
     family: int
+    bus: int  # that its drive is on
     address: int
     command_per_rad: float  # units of a command (a stepper: pulses) for a radian; the joint's direction is in it
     reading_per_rad: float  # units of a reading (a stepper: encoder counts), likewise

@@ -1,4 +1,7 @@
-"""What the cycle remembers of its wire: bytes that came and wait, bytes that go, frames to and from conversations."""
+"""What the cycle remembers of each bus: bytes that came and wait, bytes that go, and who was asked and has answered.
+
+And the frames to and from conversations.
+"""
 
 from typing import Annotated
 
@@ -6,6 +9,7 @@ from rtloop.memory.owned_record import OwnedRecord
 from shm.layout import MAX_JOINTS
 from shm.record import Bytes, Ints, Rows, SmallInts
 
+MAX_BUSES = 4
 TX_BYTES = 8192
 RX_BYTES = 1 << 16
 RX_CHUNKS = 1024
@@ -146,31 +150,7 @@ class Outgoing(OwnedRecord, writers=("wire",)):
     parts: Annotated[Rows[Part], TX_FRAMES]
 
 
-class Bus(
-    OwnedRecord,
-    writers=(
-        "bus.frames",
-        "bus.measured",
-        "commands.orders",
-        "cycle",
-        "drives.cia402",
-        "drives.receiving",
-        "wire.outgoing",
-    ),
-):
-    """The bus beyond single drives: whose turn it is to be asked, and for how long nothing has answered."""
-
-    transmit_inhibited: int  # 1: the drives were out of reach and get no motion frame until they are brought up again
-    unheard_frames: int  # given to the wire since the last frame of a drive
-    probe_turn: int
-    probed_ns: int
-    service_credit_bits: int
-    status_turn: int
-    sync_cycle: int  # in which the last SYNC left
-    unacknowledged_since_ns: int  # the oldest question for a status since which none has come, 0 none
-
-
-class Quiet(OwnedRecord, writers=("bus.frames", "bus.measured", "cycle", "safety.silence", "wire.slcan")):
+class Quiet(OwnedRecord, writers=("bus", "cycle", "safety.silence", "wire")):
     """What happens while no frame of a drive comes, for `rtloop.safety.silence` alone."""
 
     heard_ns: int  # arrival of the last frame of any drive
@@ -181,10 +161,54 @@ class Quiet(OwnedRecord, writers=("bus.frames", "bus.measured", "cycle", "safety
     spoke_ns: int  # cycle that last had anything to send
     # since the last frame of a drive
     away_ns: int  # for how long the cycle was away
-    bytes_unsent: int  # these are the counters of then
+    bytes_unsent: int
     unacknowledged: int
     error_frames: int
     frames_received: int
+
+
+SILENT = 0
+PROBING = 1
+SPEAKING = 2
+"""What may leave in a cycle: nothing, as the wire is gone; questions whether anybody is there again; all."""
+
+
+class Bus(
+    OwnedRecord,
+    writers=(
+        "bus.frames",
+        "bus.measured",
+        "commands.orders",
+        "cycle",
+        "drives.cia402",
+        "drives.receiving",
+        "process.run",
+        "wire.outgoing",
+    ),
+):
+    """A bus of the arm: its wire, whose turn it is to be asked, and for how long nothing has answered."""
+
+    address: int  # of this record itself
+    interface: int  # WIRE_…
+    simulated: int  # 1: the wire is a pseudo-terminal, behind which a program is the drives
+    service_bits: int  # bits of bus time a cycle may use in all, service frames included
+    joint_count: int  # joints whose drives are on it
+    state: int  # shm.words.BusState
+    speech: int  # what may leave in this cycle: SILENT, PROBING or SPEAKING
+    transmit_inhibited: int  # 1: the drives were out of reach and get no motion frame until they are brought up again
+    unheard_frames: int  # given to the wire since the last frame of a drive
+    probe_turn: int
+    probed_ns: int
+    service_credit_bits: int
+    status_turn: int
+    sync_cycle: int  # in which the last SYNC left
+    unacknowledged_since_ns: int  # the oldest question for a status since which none has come, 0 none
+    quiet: Quiet
+    wire: Wire
+    parser: Parser
+    outgoing: Outgoing
+    received: Received
+    reader: Reader
 
 
 class Listener(OwnedRecord, writers=()):
@@ -194,6 +218,7 @@ class Listener(OwnedRecord, writers=()):
     mask: int
     kind: int  # of the frame, bits of rtloop.memory.frame_words
     joint: int  # or GRIPPER
+    bus: int
 
 
 class ServiceFrame(OwnedRecord, writers=("service.rings",)):

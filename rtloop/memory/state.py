@@ -8,18 +8,7 @@ copied, compared and replayed. Its parts are declared by subject: `axis`, `motio
 from typing import Annotated
 
 from rtloop.memory.axis import Axis, JointParams
-from rtloop.memory.link import (
-    LISTENERS,
-    Bus,
-    Listener,
-    Outgoing,
-    Parser,
-    Quiet,
-    Reader,
-    Received,
-    ServiceRing,
-    Wire,
-)
+from rtloop.memory.link import LISTENERS, MAX_BUSES, Bus, Listener, ServiceRing
 from rtloop.memory.motion import WINDOW_WAYPOINTS, Clock, Front, Goals, Motion, Operator, Path, Search
 from rtloop.memory.owned_record import OwnedRecord
 from shm import layout
@@ -35,10 +24,10 @@ class Params(OwnedRecord, writers=()):
     """The arm as its file has it, and where its memory stands."""
 
     joint_count: int
+    bus_count: int
     listener_count: int
     homing_mask: int  # joints of the arm's homing run
     period_ns: int
-    wire: int
     address: int  # of this record itself
     state_address: int  # of the mapped state file
     command_address: int  # of the mapped command file
@@ -53,15 +42,14 @@ class Params(OwnedRecord, writers=()):
     front_timeout_ns: int
     longest_stop_s: float
     drives_patience_ns: int  # for drives that brake by themselves
-    has_gripper: int  # 1: a drive on the bus moves a gripper
+    has_gripper: int  # 1: a drive on a bus moves a gripper
+    gripper_bus: int
     gripper_lower_rad: float
     gripper_upper_rad: float
-    service_bits: int  # bits of bus time a cycle may use in all, service frames included
     reported: int  # 1: drives send their positions by themselves
     reading_ns: int  # between two positions of a drive
     fast_targets: int  # 1: targets are sent with FC, to drives that are known to take it as absolute
     report_overdue_ns: int  # age above which a report that is missing is asked for
-    simulated: int  # 1: the wire is a pseudo-terminal, behind which a program is the drives
 
 
 class Timing(OwnedRecord, writers=("cycle", "process.run")):
@@ -149,8 +137,6 @@ class Loop(OwnedRecord, writers=("memory.modes",)):
     dialogue: Dialogue
     gripper: Gripper
     published: Published
-    bus: Bus
-    quiet: Quiet
     axes: Annotated[Rows[Axis], MAX_JOINTS]
     paths: Annotated[Rows[Path], 2]
     waypoints: Annotated[Rows[layout.Setpoint], 2 * WINDOW_WAYPOINTS]
@@ -163,10 +149,6 @@ class Loop(OwnedRecord, writers=("memory.modes",)):
     scratch_scale: float
     wake_up: Annotated[Ints, 2]  # timespecs
     clock_read: Annotated[Ints, 2]
-    wire: Wire
-    parser: Parser
-    outgoing: Outgoing
-    received: Received
-    reader: Reader
+    buses: Annotated[Rows[Bus], MAX_BUSES]
     service_in: ServiceRing  # conversation → cycle
     service_out: ServiceRing  # cycle → conversation

@@ -39,7 +39,7 @@ Prototype = tuple[Any, ...]
 
 PROTOTYPES: dict[str, Prototype] = {
     "run": (ctypes.c_int64, ctypes.c_int64, ctypes.c_int64),
-    "read_wire": (None, ctypes.c_int64),
+    "read_wire": (None, ctypes.c_int64, ctypes.c_int64),
     "load_word": (ctypes.c_int64, ctypes.c_int64),
     "store_word": (None, ctypes.c_int64, ctypes.c_int64),
 }

@@ -22,15 +22,15 @@ from rtloop.dialogues.shutdown import ShutdownDialogue
 from rtloop.drives.setup import ERROR_AT_START
 from rtloop.kept import commissioned, reference_store
 from rtloop.memory.state import Loop
+from rtloop.process.attended_wire import AttendedWire
 from rtloop.process.compiled import CompiledCycle
 from rtloop.process.initial_state import new_loop, show_drives, show_limits
-from rtloop.process.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
 from rtloop.service.conversation import Conversation, DialogueFailed
 from rtloop.service.port import HOME_ALL, ServicePort
 from rtloop.system import realtime
 from rtloop.wire.claim import Claim, claim_for_arm
 from rtloop.wire.refusal import WireRefused
-from sentences.english import HEALED, STILL_QUEUED, WIRE_IS_BACK
+from sentences.english import HEALED
 from sentences.told import fault_told
 from shm import files
 from shm.record import offset_of
@@ -39,8 +39,6 @@ from shm.words import Mode, Phase, Unreferenced
 BUSY_POLL_S = 0.004
 IDLE_POLL_S = 0.05
 FIRST_CYCLE_POLL_S = 0.001
-REOPEN_EVERY_S = 0.5
-LOST_EVERY_S = 1.0
 KEEP_AGAIN_S = 1.0
 THREAD_PATIENCE_S = 5.0
 STAND_PATIENCE_S = 5.0
@@ -100,20 +98,22 @@ class ControlProcess:
             options=arm.has_options,
         )
         self._files = files.create(identity)
-        self._wire: OpenWire | None = None
+        self._wires: list[AttendedWire] = []
         self._claim = Claim()
         self._lost_references: dict[int, Unreferenced] = {}
         self._marks = commissioned.marks(arm, tell)
         self._held_rad: dict[int, float] = {}
-        self._dropped_before = self._unsent_before = 0
         self._brought_up = False
-        self._next_try_s = self._next_lost_s = self._next_keep_s = 0.0
-        self._told_of_wire = self._told_of_lost = ""
+        self._next_keep_s = 0.0
+        self._told_of_lost = ""
         try:
             self._claim = claim_for_arm(arm)
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
-            leave_to_cycle(arm.realtime.cpu)  # before the wire, which may have threads
-            self._open_wire()
+            leave_to_cycle(arm.realtime.cpu)  # before the wires, which may have threads
+            for number, part in enumerate(arm.parts):
+                wire = AttendedWire(part, number, self._loop, compiled, start=self._start_reader, tell=tell)
+                self._wires.append(wire)
+                wire.open()
             self._port = ServicePort(self._loop, compiled)
             self._gripper: GripperDialogue | None = None
             show_limits(self._files.state.record["limits"], self._loop)
@@ -122,7 +122,6 @@ class ControlProcess:
             used = [(array.ctypes.data, array.nbytes) for array in arrays]
             self._obtained = realtime.prepare_process([*used, *compiled.memory])
             self._cycle = threading.Thread(target=self._run_cycle, name="cycle", daemon=True)
-            self._reader: threading.Thread | None = None
             self._prepared = threading.Event()
         except BaseException:
             self._release()
@@ -198,9 +197,11 @@ class ControlProcess:
             raise Ended(0)
         if not self._cycle.is_alive():
             raise Ended(3)
-        if self._wire is not None and self._load("received", "arrived", "closed") != 0:
+        for wire in self._wires:
+            if not wire.is_gone:
+                continue
             raise WireRefused(
-                f"The adapter at {self._arm.bus.resolved_channel} is gone in the middle of a conversation, so what a "
+                f"The adapter at {wire.channel} is gone in the middle of a conversation, so what a "
                 "drive was told last may have arrived or not: plug it in again and read what the drives have."
             )
 
@@ -208,9 +209,9 @@ class ControlProcess:
 
     def _start_threads(self) -> None:
         threading.stack_size(realtime.THREAD_STACK_BYTES)
-        if self._wire is not None:
-            self._start_reader()
-        self._start(self._cycle)  # the last: it publishes the scheduling that both threads were given
+        for wire in self._wires:
+            wire.start_reader()
+        self._start(self._cycle)  # the last: it publishes the scheduling that all threads were given
         while int(self._memory["timing"]["cycle"]) == 0 and self._cycle.is_alive():
             time.sleep(FIRST_CYCLE_POLL_S)  # compiled code is being loaded; no conversation's timeout may run meanwhile
         for complaint in self._obtained.complaints:
@@ -221,9 +222,17 @@ class ControlProcess:
                 "realtime.require to false."
             )
 
-    def _start_reader(self) -> None:
-        self._reader = threading.Thread(target=self._run_reader, name="reader", daemon=True)
-        self._start(self._reader)
+    def _start_reader(self, read: Callable[[], None]) -> threading.Thread:
+        """Start the thread of a wire's reader."""
+
+        def run() -> None:
+            realtime.prepare_thread(self._arm.realtime, self._obtained, below=10)
+            self._prepared.set()
+            read()
+
+        reader = threading.Thread(target=run, name="reader", daemon=True)
+        self._start(reader)
+        return reader
 
     def _start(self, thread: threading.Thread) -> None:
         self._prepared.clear()
@@ -244,97 +253,22 @@ class ControlProcess:
         if self._compiled.run(kept[0].ctypes.data, kept[1].ctypes.data) != 0:
             self._tell("The control cycle ended by an exception, which is a defect of rtarm: please report it.")
 
-    def _run_reader(self) -> None:
-        realtime.prepare_thread(self._arm.realtime, self._obtained, below=10)
-        self._prepared.set()
-        kept = self._loop
-        self._compiled.read_wire(kept.ctypes.data)
-
     def _end_threads(self) -> None:
         self._store(1, "stop")
-        for thread in (self._cycle, self._reader):
-            if thread is not None and thread.ident is not None:
-                thread.join(THREAD_PATIENCE_S)
+        if self._cycle.ident is not None:
+            self._cycle.join(THREAD_PATIENCE_S)
+        for wire in self._wires:
+            wire.join_reader(THREAD_PATIENCE_S)
 
     def _release(self) -> None:
-        if self._wire is not None:
-            if keeps_frames(self._arm, self._wire):
-                self._tell(STILL_QUEUED.sentence.format(channel=self._arm.bus.resolved_channel))
-            self._close_wire(self._wire)
+        for wire in self._wires:
+            wire.release()
         self._claim.close()  # the last frames have left
         self._files.remove(as_before=not self._brought_up)
 
     def _store(self, value: int, *word: str) -> None:
         """Publish a word of the loop's record to the threads."""
         self._compiled.store_word(self._loop.ctypes.data + offset_of(Loop, *word), value)
-
-    def _load(self, *word: str) -> int:
-        found: int = self._compiled.load_word(self._loop.ctypes.data + offset_of(Loop, *word))
-        return found
-
-    # --- the wire
-
-    def _open_wire(self) -> None:
-        """Open the wire and give it to the threads; raises WireRefused."""
-        wire = open_wire(self._arm)
-        if wire is None:
-            return
-        for complaint in wire.complaints:
-            self._tell(complaint)
-        self._wire = wire
-        self._dropped_before = self._load("received", "arrived", "dropped")
-        self._unsent_before = self._load("received", "arrived", "unsent")
-        self._store(wire.fd, "wire", "fd")
-        self._store(0, "received", "arrived", "closed")  # the last: the cycle makes frames from here on
-
-    def _attend_wire(self) -> None:
-        """Detect that the adapter is gone, and reopen it when it is back; only an operator's clear moves the arm."""
-        if self._arm.bus.interface == "mock":
-            return
-        now_s = time.monotonic()
-        if self._wire is None:
-            if now_s >= self._next_try_s:
-                self._next_try_s = now_s + REOPEN_EVERY_S
-                self._try_again()
-        elif self._load("received", "arrived", "closed") != 0:
-            self._let_wire_go(self._wire)
-            self._next_try_s = now_s
-        elif now_s >= self._next_lost_s:
-            self._next_lost_s = now_s + LOST_EVERY_S
-            self._count_lost(self._wire)
-
-    def _count_lost(self, wire: OpenWire) -> None:
-        """Pass to the cycle the counts of dropped and unsent bytes, which ordinary Python alone can find out."""
-        self._store(self._dropped_before + lost_bytes(self._arm, wire), "received", "arrived", "dropped")
-        self._store(self._unsent_before + unsent_bytes(wire), "received", "arrived", "unsent")
-
-    def _close_wire(self, wire: OpenWire) -> None:
-        for complaint in close_wire(self._arm, wire):
-            self._tell(complaint)
-        self._wire = None
-
-    def _let_wire_go(self, wire: OpenWire) -> None:
-        """Close a wire that is gone, once neither thread uses it any more."""
-        self._store(-1, "wire", "fd")
-        while self._load("wire", "fd_in_use") != -1 and self._cycle.is_alive():
-            time.sleep(FIRST_CYCLE_POLL_S)
-        if self._reader is not None:
-            self._reader.join()
-            self._reader = None
-        self._close_wire(wire)
-        self._store(self._unsent_before + unsent_bytes(wire), "received", "arrived", "unsent")
-        self._told_of_wire = ""
-
-    def _try_again(self) -> None:
-        try:
-            self._open_wire()
-        except WireRefused as refused:
-            if str(refused) != self._told_of_wire:
-                self._tell(str(refused))
-            self._told_of_wire = str(refused)
-            return
-        self._start_reader()
-        self._tell(WIRE_IS_BACK)
 
     # --- supervision
 
@@ -428,14 +362,16 @@ class ControlProcess:
             counts_before=reference_store.counts_before(self._arm),
             lost_before=reference_store.lost_references(self._arm, self._tell),
         )
-        unlocked = bool(self._loop[0]["params"]["simulated"]) or commissioned.heals(self._arm)
+        simulated = self._loop[0]["buses"]["simulated"][: len(self._arm.buses)]
+        unlocked = bool(np.all(simulated)) or commissioned.heals(self._arm)
         healing = Healing(self._arm, self._loop, self._port, self._marks, unlocked=unlocked)
         first = True
         closing_until_s = 0.0
         while True:
             time.sleep(BUSY_POLL_S if talk or first or closing_until_s or self._gripper_is_busy() else IDLE_POLL_S)
             now_s = time.monotonic()
-            self._attend_wire()
+            for wire in self._wires:
+                wire.attend(self._cycle.is_alive)
             self._keep_newly_lost()
             if self._gripper is not None:
                 self._gripper.poll(time.monotonic_ns())

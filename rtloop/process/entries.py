@@ -41,9 +41,10 @@ def run(loop_address: int, state_address: int) -> int:
 
 
 @jit
-def read_wire(loop_address: int) -> None:
-    """The reader's thread, see `rtloop.process.run.read_wire`."""
-    threads.read_wire(record_at(loop_address, LOOP))
+def read_wire(loop_address: int, number: int) -> None:
+    """The thread of a bus' reader, see `rtloop.process.run.read_wire`."""
+    loop = record_at(loop_address, LOOP)
+    threads.read_wire(loop, loop.buses[number])
 
 
 @jit
@@ -69,7 +70,7 @@ class Entry(NamedTuple):
 
 ENTRIES = (
     Entry(run, types.int64(types.int64, types.int64)),
-    Entry(read_wire, types.void(types.int64)),
+    Entry(read_wire, types.void(types.int64, types.int64)),
     Entry(load_word, types.int64(types.int64)),
     Entry(store_word, types.void(types.int64, types.int64)),
 )

@@ -20,6 +20,9 @@ from rtloop.memory.state import Loop, Params
 from shm import layout
 from shm.words import Mode, Unreferenced
 
+SERVICE_SHARE = 0.95
+"""Share of a cycle's bus time that frames may take, those of service dialogues included."""
+
 
 def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.ndarray:
     """The state of a control process that has not run a cycle yet, shape (1,), dtype `Loop.dtype`.
@@ -33,18 +36,16 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
     params["state_address"] = state_address
     params["command_address"] = command_address
     _fill_params(params, arm)
-    loop[0]["wire"]["fd"] = loop[0]["wire"]["fd_in_use"] = -1
-    lay_out_messages(loop[0]["outgoing"]["messages"], loop[0]["outgoing"]["parts"], loop[0]["outgoing"]["bytes"])
-    reader = loop[0]["reader"]
-    lay_out_messages(reader["messages"], reader["parts"], reader["bytes"])
+    _fill_buses(loop, arm)
     if arm.gripper is not None and arm.gripper.servo is not None:
-        params["has_gripper"] = 1
+        params["has_gripper"], params["gripper_bus"] = 1, arm.bus_number(arm.gripper.servo)
         params["gripper_lower_rad"], params["gripper_upper_rad"] = arm.gripper.lower_rad, arm.gripper.upper_rad
     heard = listeners(arm)
     assert len(heard) <= LISTENERS  # a test adds up the identifiers of each family
     params["listener_count"] = len(heard)
     for row, (identifiers, whose) in zip(loop[0]["listeners"], heard, strict=False):
         row["match"], row["mask"], row["joint"] = identifiers.match, identifiers.mask, whose
+        row["bus"] = params["gripper_bus"] if whose == GRIPPER else arm.bus_number(arm.joints[whose])
         row["kind"] = EXTENDED if identifiers.extended else STANDARD
     for index, joint in enumerate(arm.joints):
         _fill_joint(loop[0]["joints"][index], joint, arm, index)
@@ -95,8 +96,6 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
     params["joint_count"] = len(arm.joints)
     params["period_ns"] = period_ns
     params["homing_mask"] = sum(1 << joint for joint in arm.homing_order)
-    params["wire"] = WIRES[arm.bus.interface]
-    params["simulated"] = os.path.realpath(arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
     for name in ("start_tolerance_rad", "velocity_margin", "acceleration_margin", "braking_factor"):
         params[name] = getattr(limits, name)
     params["following_error_rad"] = limits.following_error_rad
@@ -112,13 +111,28 @@ def _fill_params(params: np.void, arm: ArmConfig) -> None:
     params["front_timeout_ns"] = round(limits.front_timeout_s * 1e9)
     params["longest_stop_s"] = arm.longest_stop_s
     params["drives_patience_ns"] = round(arm.patience.drives_s * 1e9)
-    params["service_bits"] = round(arm.bus.bitrate * period_ns * 1e-9 * 0.95)
+
+
+def _fill_buses(loop: np.ndarray, arm: ArmConfig) -> None:
+    buses = loop[0]["buses"]
+    loop[0]["params"]["bus_count"] = len(arm.buses)
+    for number, part in enumerate(arm.parts):
+        bus, config = buses[number], part.bus
+        bus["address"] = buses.ctypes.data + number * buses.dtype.itemsize
+        bus["interface"] = WIRES[config.interface]
+        bus["simulated"] = os.path.realpath(config.resolved_channel).startswith(PSEUDO_TERMINALS)
+        bus["service_bits"] = round(config.bitrate * arm.control.period_ns * 1e-9 * SERVICE_SHARE)
+        bus["joint_count"] = len(part.joints)
+        bus["wire"]["fd"] = bus["wire"]["fd_in_use"] = -1
+        for batch in (bus["outgoing"], bus["reader"]):
+            lay_out_messages(batch["messages"], batch["parts"], batch["bytes"])
 
 
 def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) -> None:
     """Fill in what every family needs; a family's own file then adds, or replaces, what its codec needs."""
     drive = joint.drive
     row["family"] = FAMILIES.index(drive.family)
+    row["bus"] = arm.bus_number(joint)
     row["address"] = drive.number
     row["knows_its_angle"] = drive.knows_its_angle
     row["zero_rad"] = joint.zero_rad
@@ -131,17 +145,18 @@ def _fill_joint(row: np.void, joint: JointConfig, arm: ArmConfig, index: int) ->
     row["command_per_rad"] = joint.direction * joint.command_pulses_per_rad
     row["reading_per_rad"] = joint.direction * joint.encoder_counts_per_rad
     row["reading_step_rad"] = joint.encoder_count_rad
-    adapter = SERIAL_ADAPTERS.get(arm.bus.interface, SERIAL_ADAPTERS["slcan"])
-    character_s = byte_s(arm)
-    bit_s = 1.0 / arm.bus.bitrate
-    command_bits = sum(_bits_from_host(before, arm.bus) for before in arm.joints[: index + 1])
+    part, place = arm.part_of(index)
+    adapter = SERIAL_ADAPTERS.get(part.bus.interface, SERIAL_ADAPTERS["slcan"])
+    character_s = byte_s(part.bus)
+    bit_s = 1.0 / part.bus.bitrate
+    command_bits = sum(_bits_from_host(before, part.bus) for before in part.joints[: place + 1])
     row["command_delay_s"] = command_bits * bit_s + character_s * adapter.frame_bytes(True, 8)
-    replies = [frames for frames in drive.readings(arm.bus) if not frames.from_host]
+    replies = [frames for frames in drive.readings(part.bus) if not frames.from_host]
     for reply in replies[-1:]:
         reply_s = reply.bits * bit_s + character_s * adapter.bytes_of(reply)
         row["report_delay_ns"] = round(reply_s * 1e9)
         row["reply_delay_ns"] = round((reply_s + drive.processing_s) * 1e9)
-    setup_of(drive).fill(row, joint, arm)
+    setup_of(drive).fill(row, joint, part)
 
 
 def _bits_from_host(joint: JointConfig, bus: BusConfig) -> int:
@@ -156,7 +171,7 @@ def listeners(arm: ArmConfig) -> list[tuple[Identifiers, int]]:
     return [(used, whose) for used, whose in found if used.from_drive]
 
 
-def byte_s(arm: ArmConfig) -> float:
+def byte_s(bus: BusConfig) -> float:
     """Time of one byte on the serial line; 0 for a USB device, where it is negligible, and without a serial line."""
-    baud = arm.bus.serial_baud
+    baud = bus.serial_baud
     return 0.0 if baud == "cdc" else UART_BITS_PER_CHARACTER / float(baud)

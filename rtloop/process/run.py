@@ -1,4 +1,4 @@
-"""The two threads of the control process that run without the interpreter: the cycle and the wire's reader.
+"""The threads of the control process that run without the interpreter: the cycle, and a reader for each wire.
 
 Deadlines are absolute. After an overrun the phase is kept; missed cycles are counted and never made up.
 The reader exists because a read of a tty can block for milliseconds even when it is non-blocking (it takes
@@ -6,9 +6,10 @@ locks that an ordinary-priority kernel worker may hold). The cycle reads only th
 """
 
 from compilation.jit import jit
+from rtloop.bus.measured import show_worst_state
 from rtloop.cycle import step
 from rtloop.memory.events import record_event
-from rtloop.memory.link import CAN_FRAME_BYTES, READ_BYTES, RX_FRAMES, WIRE_SOCKETCAN
+from rtloop.memory.link import CAN_FRAME_BYTES, READ_BYTES, RX_FRAMES, WIRE_SOCKETCAN, Bus
 from rtloop.memory.state import Loop
 from rtloop.system.libc import (
     CLOCK_BOOTTIME,
@@ -37,17 +38,19 @@ from shm.layout import Histogram, StateFile
 from shm.record import offset_of
 from shm.words import BusState, Event
 
-_TX = offset_of(Loop, "outgoing", "bytes")
 _STOP = offset_of(Loop, "stop")
 _WAKE_UP = offset_of(Loop, "wake_up")
 _CLOCK = offset_of(Loop, "clock_read")
-_TX_MESSAGES = offset_of(Loop, "outgoing", "messages")
-_FD = offset_of(Loop, "wire", "fd")
-_FD_IN_USE = offset_of(Loop, "wire", "fd_in_use")
-_READER_CLOCK = offset_of(Loop, "received", "arrived", "clock")
-_READER_POLL = offset_of(Loop, "reader", "poll")
-_READER_BYTES = offset_of(Loop, "reader", "bytes")
-_READER_MESSAGES = offset_of(Loop, "reader", "messages")
+
+# of a bus
+_TX = offset_of(Bus, "outgoing", "bytes")
+_TX_MESSAGES = offset_of(Bus, "outgoing", "messages")
+_FD = offset_of(Bus, "wire", "fd")
+_FD_IN_USE = offset_of(Bus, "wire", "fd_in_use")
+_READER_CLOCK = offset_of(Bus, "received", "arrived", "clock")
+_READER_POLL = offset_of(Bus, "reader", "poll")
+_READER_BYTES = offset_of(Bus, "reader", "bytes")
+_READER_MESSAGES = offset_of(Bus, "reader", "messages")
 
 POLL_MS = 20
 """Timeout of the reader's poll; a reader whose loop has not gone round for several of these was kept from running."""
@@ -102,19 +105,20 @@ def sleep_until(loop: Loop, deadline_ns: int) -> None:
 
 
 @jit
-def take_over_wire(loop: Loop, shared: StateFile) -> int:
-    """The descriptor of the wire in this cycle, -1 for none.
+def take_over_wire(loop: Loop, shared: StateFile, bus: Bus) -> int:
+    """The descriptor of a bus' wire in this cycle, -1 for none.
 
     If it is another one than before, frames that wait to be sent and half received ones are dropped.
     """
-    base = loop.params.address
+    base = bus.address
     # pairs with `store_word` of the ordinary thread: the wire is set up before its descriptor is seen
     fd = load_acquire(base + _FD)
     if fd != load_relaxed(base + _FD_IN_USE):
-        outgoing.forget(loop, shared)
-        wires.forget_half_frames(loop)
+        outgoing.forget(loop, shared, bus)
+        wires.forget_half_frames(bus)
         if fd >= 0 and loop.timing.cycle > 0:
-            shared.counters.bus_state = BusState.ACTIVE
+            bus.state = BusState.ACTIVE
+            show_worst_state(loop, shared)
             record_event(loop, shared, Event.WIRE, -1, 0, 0.0, 0.0)
         # pairs with `load_word` of the ordinary thread: the old descriptor is closed after its last use
         store_release(base + _FD_IN_USE, fd)
@@ -122,25 +126,37 @@ def take_over_wire(loop: Loop, shared: StateFile) -> int:
 
 
 @jit
-def send_bytes(loop: Loop, shared: StateFile, fd: int) -> None:
-    """Hand the transmit buffer to the wire at once: characters in one write, CAN frames in one batch.
+def send_bytes(loop: Loop, shared: StateFile, bus: Bus, fd: int) -> None:
+    """Hand a bus' transmit buffer to its wire at once: characters in one write, CAN frames in one batch.
 
     A batch that the system accepts in part gives no error; if the reason lasts, the next cycle's batch gives it.
     """
-    base = loop.params.address
-    if loop.params.wire == WIRE_SOCKETCAN:
-        sent = sendmmsg(fd, base + _TX_MESSAGES, loop.outgoing.frames, MSG_DONTWAIT)
+    base = bus.address
+    if bus.interface == WIRE_SOCKETCAN:
+        sent = sendmmsg(fd, base + _TX_MESSAGES, bus.outgoing.frames, MSG_DONTWAIT)
         taken = sent * CAN_FRAME_BYTES
     else:
-        sent = write(fd, base + _TX, loop.outgoing.length)
+        sent = write(fd, base + _TX, bus.outgoing.length)
         taken = sent
     if sent < 0:
         error = load_int32(errno_location())
         taken = 0
         if error != EAGAIN and error != ENOBUFS and error != EINTR:
-            received.close(loop, error)
-            outgoing.forget(loop, shared)
-    outgoing.took(loop, shared, taken)
+            received.close(bus, error)
+            outgoing.forget(loop, shared, bus)
+    outgoing.took(loop, shared, bus, taken)
+
+
+@jit
+def send_on_every_wire(loop: Loop, shared: StateFile) -> None:
+    """Hand each bus' frames of this cycle to its wire; those of a bus without one are dropped."""
+    for number in range(loop.params.bus_count):
+        bus = loop.buses[number]
+        fd = load_relaxed(bus.address + _FD_IN_USE)
+        if fd < 0:
+            outgoing.forget(loop, shared, bus)
+        elif bus.outgoing.length > 0:
+            send_bytes(loop, shared, bus, fd)
 
 
 @jit
@@ -162,7 +178,7 @@ def follow_epoch(loop: Loop, woke_ns: int) -> None:
 
 @jit
 def run(loop: Loop, shared: StateFile) -> None:
-    """Run cycles until the stop word is set, on whatever wire is open."""
+    """Run cycles until the stop word is set, on whatever wires are open."""
     params = loop.params
     clock = params.address + _CLOCK
     period_ns = params.period_ns
@@ -184,50 +200,48 @@ def run(loop: Loop, shared: StateFile) -> None:
         if suspended_now_ns - suspended_before_ns > period_ns:
             loop.timing.suspended_ns = suspended_now_ns - suspended_before_ns
             suspended_before_ns = suspended_now_ns
-        fd = take_over_wire(loop, shared)
-        count = step(loop, shared, deadline_ns)
-        if fd < 0:
-            outgoing.forget(loop, shared)
-        elif count > 0:
-            send_bytes(loop, shared, fd)
+        for number in range(params.bus_count):
+            take_over_wire(loop, shared, loop.buses[number])
+        step(loop, shared, deadline_ns)
+        send_on_every_wire(loop, shared)
         loop.timing.cycle_time_ns = monotonic_ns(clock) - woke_ns
         record(shared.cycle_time, loop.timing.cycle_time_ns)
         deadline_ns += period_ns
 
 
 @jit
-def read_some(loop: Loop, fd: int) -> int:
+def read_some(bus: Bus, fd: int) -> int:
     """Read available bytes into the reader's own buffer; returns their number, 0 at the end of a tty, -1 with errno."""
-    base = loop.params.address
-    if loop.params.wire == WIRE_SOCKETCAN:
+    base = bus.address
+    if bus.interface == WIRE_SOCKETCAN:
         frames = recvmmsg(fd, base + _READER_MESSAGES, RX_FRAMES, MSG_DONTWAIT, 0)
         return frames * CAN_FRAME_BYTES if frames > 0 else -1
     return int(read(fd, base + _READER_BYTES, READ_BYTES))
 
 
 @jit
-def read_wire(loop: Loop) -> None:
-    """Fill the receive ring from the wire that is open now, until it is gone or the stop word is set.
+def read_wire(loop: Loop, bus: Bus) -> None:
+    """Fill a bus' receive ring from the wire that is open now, until it is gone or the stop word is set.
 
     This thread reads CAN frames too, although reads from a socket would not block the cycle: the time at which a
     reading arrived is needed, and the kernel's time stamps are of a clock that can be set.
     """
-    base = loop.params.address
+    base = bus.address
     clock, request = base + _READER_CLOCK, base + _READER_POLL
     # pairs with `store_word` of the ordinary thread: the wire is set up before its descriptor is seen
     fd = load_acquire(base + _FD)
     # pairs with `store_word` of the ordinary thread, and `received.close`
-    while load_acquire(base + _STOP) == 0 and received.closed(loop) == 0:
-        received.awake(loop, monotonic_ns(clock))
+    while load_acquire(loop.params.address + _STOP) == 0 and received.closed(bus) == 0:
+        received.awake(bus, monotonic_ns(clock))
         store_relaxed(request, fd | (POLLIN << 32))
         ready = poll(request, 1, POLL_MS)
         if ready == 0:
             continue
-        count = read_some(loop, fd) if ready > 0 else -1
+        count = read_some(bus, fd) if ready > 0 else -1
         if count > 0:
-            received.push(loop, monotonic_ns(clock), loop.reader.bytes, count)
+            received.push(bus, monotonic_ns(clock), bus.reader.bytes, count)
             continue
         error = load_int32(errno_location()) if count < 0 else 0
         if count == 0 or (error != EAGAIN and error != EINTR):
-            received.close(loop, error)
+            received.close(bus, error)
             return

@@ -3,6 +3,7 @@
 from compilation.jit import jit
 from rtloop.memory import status as status_bits
 from rtloop.memory.axis import FAMILY_MOCK, FRESH_READINGS
+from rtloop.memory.buses import bus_of
 from rtloop.memory.modes import is_disabled
 from rtloop.memory.state import Loop
 from rtloop.memory.updates import owe_stop
@@ -79,7 +80,9 @@ def latch_silence(loop: Loop, shared: StateFile, joint: int, age_ns: int) -> Non
             all_silent = False
     named = -1 if all_silent else joint
     value, limit = age_ns * 1e-9, loop.params.stale_fault_ns * 1e-9
-    latch_fault(loop, shared, Fault.STALE_READING, named, value, limit, silent, silence.evidence(loop, shared))
+    latch_fault(
+        loop, shared, Fault.STALE_READING, named, value, limit, silent, silence.evidence(loop, bus_of(loop, joint))
+    )
 
 
 @jit
@@ -221,6 +224,7 @@ def silent_ns(loop: Loop, joint: int) -> int:
     """
     axis = loop.axes[joint]
     age_ns = loop.timing.now_ns - axis.reply.unanswered_since_ns if axis.reply.unanswered_since_ns != 0 else 0
-    if loop.params.reported == 1 and loop.bus.unacknowledged_since_ns != 0:
-        age_ns = max(age_ns, loop.timing.now_ns - loop.bus.unacknowledged_since_ns)
+    unacknowledged_since_ns = bus_of(loop, joint).unacknowledged_since_ns
+    if loop.params.reported == 1 and unacknowledged_since_ns != 0:
+        age_ns = max(age_ns, loop.timing.now_ns - unacknowledged_since_ns)
     return int(age_ns)

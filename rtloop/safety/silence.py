@@ -1,12 +1,12 @@
-"""What wire and machine did while no frame of a drive came: the facts behind the sentence of a silence.
+"""What wire and machine did while no frame of a drive came on a bus: the facts behind the sentence of a silence.
 
 They are for people. Nothing in the cycle is decided by them.
 """
 
 from compilation.jit import jit
+from rtloop.memory.link import Bus
 from rtloop.memory.state import Loop
 from rtloop.wire import received
-from shm.layout import StateFile
 from shm.words import BusState, Evidence
 
 # numba adds up no members of an enumeration, so they are plain integers here.
@@ -18,53 +18,49 @@ _SIMULATED = int(Evidence.SIMULATED)
 
 
 @jit
-def follow(loop: Loop, shared: StateFile) -> None:
+def follow(loop: Loop, bus: Bus) -> None:
     """Once a cycle, behind all that the bus brought: note each sign, and count anew from the last frame of a drive."""
-    quiet, counters = loop.quiet, shared.counters
+    quiet = bus.quiet
     if quiet.adapter_words != quiet.adapter_words_before:
         quiet.adapter_words_before = quiet.adapter_words
         quiet.adapter_ns = loop.timing.now_ns
     if quiet.heard_ns != quiet.heard_before_ns:
         quiet.heard_before_ns = quiet.heard_ns
         quiet.away_ns = 0
-        quiet.bytes_unsent = counters.bytes_unsent
-        quiet.unacknowledged = counters.unacknowledged
-        quiet.error_frames = counters.error_frames
-        quiet.frames_received = counters.frames_received
+        quiet.bytes_unsent = quiet.unacknowledged = quiet.error_frames = quiet.frames_received = 0
 
 
 @jit
-def evidence(loop: Loop, shared: StateFile) -> int:
-    """Bits of shm.words.Evidence since the last frame of a drive."""
-    timing, params, quiet, counters = loop.timing, loop.params, loop.quiet, shared.counters
+def evidence(loop: Loop, bus: Bus) -> int:
+    """Bits of shm.words.Evidence since the last frame of a drive on this bus."""
+    timing, params, quiet = loop.timing, loop.params, bus.quiet
     found = 0
     if timing.now_ns - quiet.heard_ns <= params.stale_brake_ns:
         found |= _HEARD
     if quiet.adapter_ns != 0 and timing.now_ns - quiet.adapter_ns <= params.stale_brake_ns:
         found |= _ADAPTER_ANSWERS
-    elif is_mute(loop):
+    elif is_mute(loop, bus):
         found |= _ADAPTER_MUTE
-    if counters.bytes_unsent > quiet.bytes_unsent:
+    if quiet.bytes_unsent > 0:
         found |= _NOT_TAKEN
-    if counters.unacknowledged > quiet.unacknowledged:
+    if quiet.unacknowledged > 0:
         found |= _UNACKNOWLEDGED
-    elif counters.error_frames > quiet.error_frames or counters.bus_state != BusState.ACTIVE:
+    elif quiet.error_frames > 0 or bus.state != BusState.ACTIVE:
         found |= _BUS_ERRORS
-    strange = counters.frames_received - quiet.frames_received
-    if strange * params.period_ns >= params.joint_count * params.stale_fault_ns:
+    if quiet.frames_received * params.period_ns >= bus.joint_count * params.stale_fault_ns:
         found |= _BABBLE
     if quiet.away_ns >= params.stale_brake_ns:
         found |= _CYCLE_LATE
-    if received.woke_ns(loop) != 0 and timing.now_ns - received.woke_ns(loop) > params.stale_fault_ns // 2:
+    if received.woke_ns(bus) != 0 and timing.now_ns - received.woke_ns(bus) > params.stale_fault_ns // 2:
         found |= _READER_LATE
-    if params.simulated == 1:
+    if bus.simulated == 1:
         found |= _SIMULATED
     return found
 
 
 @jit
-def is_mute(loop: Loop) -> bool:
+def is_mute(loop: Loop, bus: Bus) -> bool:
     """Whether an adapter that answered until the drives fell silent was asked since, and has not answered."""
-    quiet, patience_ns = loop.quiet, loop.params.stale_brake_ns
+    quiet, patience_ns = bus.quiet, loop.params.stale_brake_ns
     answered_till_then = quiet.adapter_ns != 0 and quiet.adapter_ns >= quiet.heard_ns - patience_ns
     return bool(answered_till_then and quiet.spoke_ns - quiet.adapter_ns > patience_ns)

@@ -6,8 +6,7 @@ unused, 8 bytes of data. A frame with the error flag was made by the controller'
 
 from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
-from rtloop.memory.link import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN
-from rtloop.memory.state import Loop
+from rtloop.memory.link import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN, Bus
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from shm.layout import StateFile
@@ -31,13 +30,13 @@ def is_carried_by(wire: int) -> bool:
 
 
 @jit
-def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
+def encode_frame(bus: Bus, frame_id: int, kind: int, length: int, data: int) -> bool:
     """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False if the buffer is full.
 
     `kind` is bits of `rtloop.memory.frame_words`.
     """
-    tx = loop.outgoing.bytes
-    at = loop.outgoing.length
+    tx = bus.outgoing.bytes
+    at = bus.outgoing.length
     if at + CAN_FRAME_BYTES > TX_BYTES:
         return False
     word = frame_id | EXTENDED_FLAG if kind & EXTENDED else frame_id
@@ -52,30 +51,30 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
     tx[at + _LENGTH_AT] = length
     for i in range(LONGEST_DATA):
         tx[at + _DATA_AT + i] = (data >> (8 * i)) & 255 if i < held else 0
-    loop.outgoing.length = at + CAN_FRAME_BYTES
+    bus.outgoing.length = at + CAN_FRAME_BYTES
     return True
 
 
 @jit
-def mark(loop: Loop, marks: int) -> None:
+def mark(bus: Bus, marks: int, made_ms: int) -> None:
     """Write `marks` and the time of the cycle (ms, 16 bits) into the unused bytes of the last frame in the buffer.
 
     They are for `rtloop.wire.bridge`, which drops set-points that are too old.
     """
-    at, made_ms = loop.outgoing.length - CAN_FRAME_BYTES, loop.timing.now_ns // 1_000_000
-    loop.outgoing.bytes[at + _MARKS_AT] = marks
-    loop.outgoing.bytes[at + _MADE_AT] = made_ms & 255
-    loop.outgoing.bytes[at + _MADE_AT + 1] = (made_ms >> 8) & 255
+    at = bus.outgoing.length - CAN_FRAME_BYTES
+    bus.outgoing.bytes[at + _MARKS_AT] = marks
+    bus.outgoing.bytes[at + _MADE_AT] = made_ms & 255
+    bus.outgoing.bytes[at + _MADE_AT + 1] = (made_ms >> 8) & 255
 
 
 @jit
-def decode_record(loop: Loop, at: int) -> tuple[int, int, int, int, int]:
+def decode_record(bus: Bus, at: int) -> tuple[int, int, int, int, int]:
     """(RECORD_…, id, kind, length, data) of the record at byte `at` of the receive ring.
 
     The ring holds whole records and is a whole number of them long, so no record wraps around its end. The id of an
     error frame is its class. Remote frames are ignored.
     """
-    ring = loop.received.bytes
+    ring = bus.received.bytes
     start = at & (RX_BYTES - 1)
     word = 0
     for i in range(_LENGTH_AT):
@@ -98,14 +97,14 @@ def decode_record(loop: Loop, at: int) -> tuple[int, int, int, int, int]:
 
 
 @jit
-def next_frame(loop: Loop, shared: StateFile, end: int) -> tuple[int, int, int, int, int]:
+def next_frame(bus: Bus, shared: StateFile, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME or CONTROLLER_ERROR, id, kind, length, data) of the next one in the receive ring up to `end`, or NOTHING.
 
     The records up to it are consumed; invalid ones are counted as wire errors.
     """
-    parser = loop.parser
+    parser = bus.parser
     while parser.bytes_taken < end:
-        record, frame_id, kind, length, data = decode_record(loop, parser.bytes_taken)
+        record, frame_id, kind, length, data = decode_record(bus, parser.bytes_taken)
         parser.bytes_taken += CAN_FRAME_BYTES
         if record == RECORD_FRAME:
             return FRAME, frame_id, kind, length, data

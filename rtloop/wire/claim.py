@@ -64,6 +64,11 @@ class Claim:
             raise
         self._sockets.append(bound)
 
+    def take_over(self, other: Claim) -> None:
+        """Hold the claims of another, too."""
+        self._sockets += other._sockets
+        other._sockets = []
+
     def close(self) -> None:
         for bound in self._sockets:
             bound.close()
@@ -71,13 +76,23 @@ class Claim:
 
 
 def claim_for_arm(arm: ArmConfig) -> Claim:
-    """Claim the identifiers of an arm's drives and gripper, unless only one process can open its wire.
+    """Claim the identifiers of an arm's drives and gripper, on each bus whose wire several processes can open.
 
     Raises WireRefused.
     """
-    bus = _bus_of(arm)
-    if bus is None:
-        return Claim()
+    claimed = Claim()
+    try:
+        for part in arm.parts:
+            bus = _bus_of(part)
+            if bus is not None:
+                claimed.take_over(_claim_for_part(part, bus))
+    except BaseException:
+        claimed.close()
+        raise
+    return claimed
+
+
+def _claim_for_part(arm: ArmConfig, bus: str) -> Claim:
     users = {used: joint.name for joint in arm.joints for used in joint.drive.identifiers}
     if arm.gripper is not None and arm.gripper.servo is not None:
         users |= dict.fromkeys(arm.gripper.servo.identifiers, "the gripper")

@@ -6,8 +6,7 @@ surplus byte, costs that frame alone. A loss counts once until the next sound fr
 """
 
 from compilation.jit import jit
-from rtloop.memory.link import RX_BYTES
-from rtloop.memory.state import Loop
+from rtloop.memory.link import RX_BYTES, Bus
 
 MORE = 0
 SOUND = 1
@@ -16,9 +15,9 @@ WRONG = 3
 
 
 @jit
-def collect(loop: Loop, end: int) -> bool:
+def collect(bus: Bus, end: int) -> bool:
     """Move bytes from the receive ring up to `end` into the line; True once there are as many as `wait_for` has set."""
-    parser, ring, line = loop.parser, loop.received.bytes, loop.parser.line
+    parser, ring, line = bus.parser, bus.received.bytes, bus.parser.line
     needed = max(parser.line_needed, 1)
     have, at = parser.line_length, parser.bytes_taken
     while have < needed and at < end:
@@ -30,16 +29,16 @@ def collect(loop: Loop, end: int) -> bool:
 
 
 @jit
-def wait_for(loop: Loop, count: int) -> int:
+def wait_for(bus: Bus, count: int) -> int:
     """Set how many bytes must be collected before the next attempt to parse, LINE_BYTES at most; MORE."""
-    loop.parser.line_needed = count
+    bus.parser.line_needed = count
     return MORE
 
 
 @jit
-def take_out(loop: Loop, count: int, shortest: int) -> None:
+def take_out(bus: Bus, count: int, shortest: int) -> None:
     """Remove the first `count` bytes of the line; the next frame has at least `shortest` bytes."""
-    parser, line = loop.parser, loop.parser.line
+    parser, line = bus.parser, bus.parser.line
     left = parser.line_length - count
     for i in range(left):
         line[i] = line[count + i]
@@ -48,23 +47,23 @@ def take_out(loop: Loop, count: int, shortest: int) -> None:
 
 
 @jit
-def found_sound(loop: Loop, count: int, shortest: int) -> None:
+def found_sound(bus: Bus, count: int, shortest: int) -> None:
     """Remove the first `count` bytes of the line, which were a sound frame."""
-    take_out(loop, count, shortest)
-    loop.parser.line_spoilt = 0
+    take_out(bus, count, shortest)
+    bus.parser.line_spoilt = 0
 
 
 @jit
-def resynchronise(loop: Loop, start: int, shortest: int) -> int:
+def resynchronise(bus: Bus, start: int, shortest: int) -> int:
     """Remove the first byte, which begins no frame, and all up to the next `start`.
 
     WRONG the first time since a sound frame, then OTHER.
     """
-    parser, line = loop.parser, loop.parser.line
+    parser, line = bus.parser, bus.parser.line
     at = 1
     while at < parser.line_length and line[at] != start:
         at += 1
-    take_out(loop, at, shortest)
+    take_out(bus, at, shortest)
     before = parser.line_spoilt
     parser.line_spoilt = 1
     return OTHER if before == 1 else WRONG

@@ -1,4 +1,4 @@
-"""Frames that a cycle sends, in the form of the wire, one after the other in the transmit buffer.
+"""Frames that a cycle sends, in the form of the wire, one after the other in the transmit buffer of their bus.
 
 The buffer records where each frame ends and which frames belong to one command. A wire may take only a part of it. The
 frames that it did not take are dropped and not sent late: the next cycle makes newer ones, and a drive may have lost
@@ -8,8 +8,9 @@ sent in part, and the rest of a command of which the drive has received the firs
 
 from compilation.jit import jit
 from config.frames import unchecked_frame_bits
+from rtloop.memory.buses import bus_of
 from rtloop.memory.frame_words import EXTENDED, REMOTE
-from rtloop.memory.link import CAN_FRAME_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_PYTHON_CAN
+from rtloop.memory.link import CAN_FRAME_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, TX_FRAMES, WIRE_PYTHON_CAN, Bus
 from rtloop.memory.recorder import SENT, marks_of, record_frame
 from rtloop.memory.state import Loop
 from rtloop.memory.updates import stop_came_back
@@ -32,35 +33,45 @@ def frame_bits(kind: int, length: int) -> int:
 
 @jit
 def send(
-    loop: Loop, shared: StateFile, frame_id: int, kind: int, length: int, data: int, joined: int = 0, stops: int = -1
+    loop: Loop,
+    shared: StateFile,
+    joint: int,
+    frame_id: int,
+    kind: int,
+    length: int,
+    data: int,
+    joined: int = 0,
+    stops: int = -1,
 ) -> bool:
-    """Append a frame to the transmit buffer (see `put`), and count it as sent; False if there is no room.
+    """Append a frame to the transmit buffer of a joint's bus (see `put`), and count it as sent; False without room.
 
     If the wire does not take it, the counters are corrected later.
     """
     # plain ints: for constants numba would compile separate versions, down to the wire's codec
-    if not put(loop, int(frame_id), int(kind), int(length), int(data), int(joined), int(stops)):
+    bus, made_ms = bus_of(loop, joint), loop.timing.now_ns // 1_000_000
+    if not put(bus, made_ms, int(frame_id), int(kind), int(length), int(data), int(joined), int(stops)):
         return False
     bits = frame_bits(kind, length)
-    loop.outgoing.bits += bits
+    bus.outgoing.bits += bits
     shared.counters.bits_on_bus += bits
     shared.counters.frames_sent += 1
-    loop.bus.unheard_frames += 1
+    bus.unheard_frames += 1
     return True
 
 
 @jit
-def put(loop: Loop, frame_id: int, kind: int, length: int, data: int, joined: int, stops: int = -1) -> bool:
-    """Append a frame to the transmit buffer in the form of this arm's wire; False if there is no room.
+def put(bus: Bus, made_ms: int, frame_id: int, kind: int, length: int, data: int, joined: int, stops: int = -1) -> bool:
+    """Append a frame to the transmit buffer in the form of this bus' wire; False if there is no room.
 
+    `made_ms` is the time of the cycle (CLOCK_MONOTONIC, ms).
     `kind` is bits of `frame_words`; `data` holds the bytes, the first lowest; `joined` is 1 if the next frame belongs
     to the same command; `stops` is the joint whose stop command it is, -1 for none.
     """
-    outgoing = loop.outgoing
-    if not has_room(loop, 1) or not wires.encode_frame(loop, frame_id, kind, length, data):
+    outgoing = bus.outgoing
+    if not has_room(bus, 1) or not wires.encode_frame(bus, frame_id, kind, length, data):
         return False
-    if loop.params.wire == WIRE_PYTHON_CAN:
-        can_frame.mark(loop, (STOP if stops >= 0 else 0) | (JOINED if joined else 0))
+    if bus.interface == WIRE_PYTHON_CAN:
+        can_frame.mark(bus, (STOP if stops >= 0 else 0) | (JOINED if joined else 0), made_ms)
     outgoing.ends[outgoing.frames] = outgoing.length
     outgoing.joined[outgoing.frames] = joined
     outgoing.ids[outgoing.frames] = frame_id
@@ -73,29 +84,29 @@ def put(loop: Loop, frame_id: int, kind: int, length: int, data: int, joined: in
 
 
 @jit
-def has_room(loop: Loop, frames: int) -> bool:
+def has_room(bus: Bus, frames: int) -> bool:
     """Whether `frames` more frames fit into the transmit buffer, however long they are."""
-    outgoing = loop.outgoing
+    outgoing = bus.outgoing
     return outgoing.frames + frames <= TX_FRAMES and outgoing.length + frames * LONGEST_FRAME_BYTES <= TX_BYTES
 
 
 @jit
-def begin(loop: Loop, shared: StateFile) -> None:
+def begin(loop: Loop, shared: StateFile, bus: Bus) -> None:
     """Make room for a cycle's frames: of the frames left over, only those that are owed to a drive stay."""
-    outgoing = loop.outgoing
+    outgoing = bus.outgoing
     outgoing.bits = 0
     if outgoing.length == 0:  # a caller that took all bytes may just have set the length to 0
         outgoing.frames = 0
-    keep(loop, shared, 0, 0, min(outgoing.owed, outgoing.frames))
+    keep(loop, shared, bus, 0, 0, min(outgoing.owed, outgoing.frames))
 
 
 @jit
-def took(loop: Loop, shared: StateFile, sent: int) -> None:
+def took(loop: Loop, shared: StateFile, bus: Bus, sent: int) -> None:
     """Remove the first `sent` bytes, which the wire has taken, and drop the rest except the frames that are owed.
 
     Those are sent before the frames of the next cycle.
     """
-    outgoing = loop.outgoing
+    outgoing = bus.outgoing
     ends, joined = outgoing.ends, outgoing.joined
     shared.counters.bytes_sent += sent
     gone = 0
@@ -108,22 +119,22 @@ def took(loop: Loop, shared: StateFile, sent: int) -> None:
         while joined[last] == 1 and last + 1 < outgoing.frames:
             last += 1
         owed = max(owed, last + 1)
-    keep(loop, shared, sent, gone, owed)
+    keep(loop, shared, bus, sent, gone, owed)
 
 
 @jit
-def keep(loop: Loop, shared: StateFile, sent: int, first: int, end: int) -> None:
+def keep(loop: Loop, shared: StateFile, bus: Bus, sent: int, first: int, end: int) -> None:
     """Keep the frames from `first` up to, not including, `end`, and remove the first `sent` bytes.
 
     The frames before `first` were sent: they are recorded in the flight recorder. The frames from `end` on are dropped:
     they are counted, and a stop command among them is due again.
     """
-    outgoing = loop.outgoing
+    outgoing = bus.outgoing
     ends = outgoing.ends
     left = ends[end - 1] - sent if end > first else 0
-    shared.counters.bytes_unsent += outgoing.length - sent - left
+    count_unsent(shared, bus, outgoing.length - sent - left)
     shared.counters.frames_sent -= outgoing.frames - end
-    loop.bus.unheard_frames -= outgoing.frames - end
+    bus.unheard_frames -= outgoing.frames - end
     for frame in range(first):
         marks = SENT | marks_of(outgoing.kinds[frame])
         record_frame(
@@ -155,21 +166,28 @@ def keep(loop: Loop, shared: StateFile, sent: int, first: int, end: int) -> None
 
 
 @jit
-def take_back(loop: Loop, shared: StateFile, unsent: int) -> None:
+def count_unsent(shared: StateFile, bus: Bus, unsent: int) -> None:
+    """Count bytes that the wire did not take."""
+    shared.counters.bytes_unsent += unsent
+    bus.quiet.bytes_unsent += unsent
+
+
+@jit
+def take_back(shared: StateFile, bus: Bus, unsent: int) -> None:
     """Correct the counters for bytes that the wire took and did not send after all.
 
     `unsent` is their number since the start, a whole number of CAN frames.
     """
-    more = unsent - loop.outgoing.unsent_taken_back
-    loop.outgoing.unsent_taken_back = unsent
-    shared.counters.bytes_unsent += more
+    more = unsent - bus.outgoing.unsent_taken_back
+    bus.outgoing.unsent_taken_back = unsent
+    count_unsent(shared, bus, more)
     shared.counters.bytes_sent -= more
     shared.counters.frames_sent -= more // CAN_FRAME_BYTES
 
 
 @jit
-def forget(loop: Loop, shared: StateFile) -> None:
+def forget(loop: Loop, shared: StateFile, bus: Bus) -> None:
     """Drop all frames, owed ones too, because the wire is gone or is another one."""
-    loop.outgoing.owed = 0
-    begin(loop, shared)
-    loop.bus.unheard_frames = 0
+    bus.outgoing.owed = 0
+    begin(loop, shared, bus)
+    bus.unheard_frames = 0

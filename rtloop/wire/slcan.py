@@ -12,8 +12,7 @@ import numpy as np
 
 from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
-from rtloop.memory.link import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES
-from rtloop.memory.state import Loop
+from rtloop.memory.link import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, Bus
 from rtloop.wire.found import FRAME, NOTHING
 from shm.layout import StateFile
 
@@ -40,13 +39,13 @@ def hex_value(code: int) -> int:
 
 
 @jit
-def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -> bool:
+def encode_frame(bus: Bus, frame_id: int, kind: int, length: int, data: int) -> bool:
     """Append a frame to the transmit buffer; `data` holds the bytes, the first lowest. False if the buffer is full.
 
     `kind` is bits of `rtloop.memory.frame_words`.
     """
-    tx = loop.outgoing.bytes
-    at = loop.outgoing.length
+    tx = bus.outgoing.bytes
+    at = bus.outgoing.length
     if at + SLCAN_LONGEST_LINE > TX_BYTES:
         return False
     digits = 8 if kind & EXTENDED else 3
@@ -66,7 +65,7 @@ def encode_frame(loop: Loop, frame_id: int, kind: int, length: int, data: int) -
         tx[at + 1] = hex_digit(byte & 15)
         at += 2
     tx[at] = CR
-    loop.outgoing.length = at + 1
+    bus.outgoing.length = at + 1
     return True
 
 
@@ -76,9 +75,9 @@ LINE_WRONG = 2
 
 
 @jit
-def decode_line(loop: Loop) -> tuple[int, int, int, int, int]:
-    """(LINE_…, id, kind, length, data) of the line collected in `loop.parser.line`; remote frames are LINE_OTHER."""
-    line, count = loop.parser.line, loop.parser.line_length
+def decode_line(bus: Bus) -> tuple[int, int, int, int, int]:
+    """(LINE_…, id, kind, length, data) of the line collected in `bus.parser.line`; remote frames are LINE_OTHER."""
+    line, count = bus.parser.line, bus.parser.line_length
     if count == 0 or (line[0] != _T_EXTENDED and line[0] != _T_STANDARD):
         return LINE_OTHER, 0, 0, 0, 0
     kind = EXTENDED if line[0] == _T_EXTENDED else STANDARD
@@ -106,13 +105,13 @@ def decode_line(loop: Loop) -> tuple[int, int, int, int, int]:
 
 
 @jit
-def collect(loop: Loop, byte: int) -> bool:
+def collect(bus: Bus, byte: int) -> bool:
     """Add a received byte to the line; True if it completes the line. An overlong line is marked as spoilt."""
-    parser = loop.parser
+    parser = bus.parser
     if byte == CR:
         return True
     if parser.line_length < LINE_BYTES:
-        loop.parser.line[parser.line_length] = byte
+        bus.parser.line[parser.line_length] = byte
         parser.line_length += 1
     else:
         parser.line_spoilt = 1
@@ -120,20 +119,20 @@ def collect(loop: Loop, byte: int) -> bool:
 
 
 @jit
-def next_frame(loop: Loop, shared: StateFile, end: int) -> tuple[int, int, int, int, int]:
+def next_frame(bus: Bus, shared: StateFile, end: int) -> tuple[int, int, int, int, int]:
     """(FRAME, id, kind, length, data) of the next data frame in the receive ring up to `end`, or NOTHING.
 
     The characters up to its end are consumed; refusals (BEL) and garbled lines are counted as wire errors.
     """
-    parser, ring = loop.parser, loop.received.bytes
+    parser, ring = bus.parser, bus.received.bytes
     for at in range(parser.bytes_taken, end):
         byte = ring[at & (RX_BYTES - 1)]
         if byte == BEL:
             shared.counters.wire_errors += 1
-            loop.quiet.adapter_words += 1
+            bus.quiet.adapter_words += 1
             parser.line_length = parser.line_spoilt = 0
-        elif collect(loop, byte):
-            line, frame_id, kind, length, data = decode_line(loop)
+        elif collect(bus, byte):
+            line, frame_id, kind, length, data = decode_line(bus)
             if parser.line_spoilt == 1:
                 line = LINE_WRONG
             parser.line_length = parser.line_spoilt = 0
@@ -143,6 +142,6 @@ def next_frame(loop: Loop, shared: StateFile, end: int) -> tuple[int, int, int, 
             if line == LINE_WRONG:
                 shared.counters.wire_errors += 1
             else:
-                loop.quiet.adapter_words += 1
+                bus.quiet.adapter_words += 1
     parser.bytes_taken = end
     return NOTHING, 0, 0, 0, 0

@@ -24,7 +24,7 @@ class MemoryArena:
 
     def _begin(self) -> None:
         assert self.arm.bring_up().failure is None
-        self.arm.memory["outgoing"]["length"] = 0
+        self.arm.memory["buses"][0]["outgoing"]["length"] = 0
         self._fresh = self.arm.loop.copy()
         self.seen = np.zeros((4, 64), np.int64)
         """Modes, faults, outcomes and answers that came up."""

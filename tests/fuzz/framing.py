@@ -32,9 +32,9 @@ def put_hex(out: np.ndarray, at: int, value: int, digits: int) -> int:
 @jit
 def put_frame(loop: Loop, out: np.ndarray, at: int, frame_id: int, length: int, data: int) -> int:
     """An extended frame as the arm's adapter spells it, of any length and identifier."""
-    if loop.params.wire == WIRE_SEEED:
+    if loop.buses[0].interface == WIRE_SEEED:
         return put_seeed(out, at, frame_id, length, data)
-    if loop.params.wire == WIRE_AT:
+    if loop.buses[0].interface == WIRE_AT:
         return put_at(out, at, frame_id, length, data)
     return put_line(out, at, frame_id, length, data)
 
@@ -95,11 +95,11 @@ def read_frame(loop: Loop, at: int, count: int) -> tuple[int, int, int]:
 
     -1 for what is no extended data frame, or is not whole within `count` bytes.
     """
-    if loop.params.wire == WIRE_SEEED:
-        return read_seeed(loop.outgoing.bytes, at, count)
-    if loop.params.wire == WIRE_AT:
-        return read_at(loop.outgoing.bytes, at, count)
-    return read_line(loop.outgoing.bytes, at, count)
+    if loop.buses[0].interface == WIRE_SEEED:
+        return read_seeed(loop.buses[0].outgoing.bytes, at, count)
+    if loop.buses[0].interface == WIRE_AT:
+        return read_at(loop.buses[0].outgoing.bytes, at, count)
+    return read_line(loop.buses[0].outgoing.bytes, at, count)
 
 
 @jit

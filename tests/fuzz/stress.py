@@ -19,7 +19,7 @@ import numpy as np
 from compilation.jit import jit
 from config.loader import load_arm
 from rtloop.memory.events import record_event
-from rtloop.memory.link import RX_BYTES, RX_CHUNKS, SERVICE_SLOTS
+from rtloop.memory.link import RX_BYTES, RX_CHUNKS, SERVICE_SLOTS, Bus
 from rtloop.memory.state import Loop
 from rtloop.process.initial_state import new_loop
 from rtloop.service import rings
@@ -89,14 +89,14 @@ def push_bytes(table: int, loop: Loop, source: np.ndarray) -> int:
             continue  # it would be dropped, and the sequence with it
         for i in range(size):
             source[i] = ((at + i) * 7) & 255
-        received.push(loop, at, source, size)
+        received.push(loop.buses[0], at, source, size)
         at += size
         chunks += 1
     return at
 
 
-_TAKEN_BYTES = offset_of(Loop, "received", "taken", "bytes")
-_TAKEN_CHUNKS = offset_of(Loop, "received", "taken", "chunks")
+_TAKEN_BYTES = offset_of(Loop, "buses") + offset_of(Bus, "received", "taken", "bytes")
+_TAKEN_CHUNKS = offset_of(Loop, "buses") + offset_of(Bus, "received", "taken", "chunks")
 
 
 @jit
@@ -104,15 +104,15 @@ def take_bytes(table: int, loop: Loop, count: int) -> int:
     """Take `count` chunks as the cycle does; how many bytes and stamps were wrong."""
     wrong = done = at = 0
     while done < count:
-        chunks = received.chunks_arrived(loop)
+        chunks = received.chunks_arrived(loop.buses[0])
         while done < chunks:
-            chunk = loop.received.chunks[done & (RX_CHUNKS - 1)]
+            chunk = loop.buses[0].received.chunks[done & (RX_CHUNKS - 1)]
             wrong += 0 if chunk.time_ns == at else 1
             for i in range(at, chunk.end):
-                wrong += 0 if loop.received.bytes[i & (RX_BYTES - 1)] == (i * 7) & 255 else 1
+                wrong += 0 if loop.buses[0].received.bytes[i & (RX_BYTES - 1)] == (i * 7) & 255 else 1
             at = chunk.end
             done += 1
-        received.taken(loop, at, done)
+        received.taken(loop.buses[0], at, done)
     store_relaxed(table, 1)
     return wrong
 

@@ -164,7 +164,7 @@ def test_the_stress_of_the_receive_ring_finds_a_byte_that_is_wrong(hostile_wire:
     from rtloop.process.initial_state import new_loop
 
     loop = new_loop(load_arm("mock"), 0, 0)
-    received.push(loop[0], 0, np.array([0, 7, 15], np.uint8), 3)
+    received.push(loop[0]["buses"][0], 0, np.array([0, 7, 15], np.uint8), 3)
     table = np.zeros(64, np.int64)
     assert take_bytes(table.ctypes.data, loop[0], 1) == 1
 

@@ -160,7 +160,7 @@ def bring(loop: Loop, out: np.ndarray, count: int, now_ns: int) -> None:
     done = 0
     while done < count:
         size = min(int(np.random.randint(1, 400)), count - done)
-        received.push(loop, now_ns - int(np.random.randint(0, 3_000_000)), out[done:], size)
+        received.push(loop.buses[0], now_ns - int(np.random.randint(0, 3_000_000)), out[done:], size)
         done += size
 
 
@@ -235,7 +235,7 @@ def run_case(
         if guilt != SOUND:
             verdict[4], verdict[5], verdict[6] = cycle, calm, loop.fault.code
             return guilt
-        loop.outgoing.length = 0
+        loop.buses[0].outgoing.length = 0
     return SOUND
 
 

@@ -110,7 +110,7 @@ EQUIVALENT: dict[str, str] = {
     "rtloop/wire/framed.py collect: needed = max(parser.line_needed, 1) → needed = max(parser.line_needed, 2)": (
         "only before a wire's first look is nothing needed, and that look waits for a whole frame of 5 bytes or more"
     ),
-    "rtloop/wire/framed.py found_sound: loop.parser.line_spoilt = 0 → loop.parser.line_spoilt = (-1)": (
+    "rtloop/wire/framed.py found_sound: bus.parser.line_spoilt = 0 → bus.parser.line_spoilt = (-1)": (
         "the word is only asked whether it is 1"
     ),
 }

@@ -670,12 +670,12 @@ def gone_and_back(interface: str, error: int) -> None:
     with standing(overrides={"bus": {"interface": interface}}) as arm:
         towards(arm)
         arm.cycles(40)
-        received.close(arm.loop[0], error)
+        received.close(arm.loop[0]["buses"][0], error)
         arm.cycles(5)
         arm.ask(Request.CLEAR_FAULT)
-        arm.loop[0]["received"]["arrived"]["closed"] = 0
-        arm.loop[0]["wire"]["fd"] = 7
-        take_over_wire(arm.loop[0], arm.state.array[0])
+        arm.loop[0]["buses"][0]["received"]["arrived"]["closed"] = 0
+        arm.loop[0]["buses"][0]["wire"]["fd"] = 7
+        take_over_wire(arm.loop[0], arm.state.array[0], arm.loop[0]["buses"][0])
         faulted(arm)
         arm.clear_fault()
         finish(arm, towards(arm, 0.02))
@@ -764,7 +764,7 @@ def hostile_wire(interface: str, seed: int) -> None:
                 at = wire.spoil(out, at)
             wire.bring(loop, out, at, now_ns)
             arena.arm.step(now_ns)
-            arena.arm.memory["outgoing"]["length"] = 0
+            arena.arm.memory["buses"][0]["outgoing"]["length"] = 0
     arena.close()
 
 

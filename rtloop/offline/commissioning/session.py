@@ -35,9 +35,10 @@ def checks_of(arm: ArmConfig, joint: int) -> list[Check]:
 
 def wire_s(arm: ArmConfig, joint: int) -> float:
     """Time (s) that the request for a joint's position and its answer take on bus and serial line."""
-    adapter = SERIAL_ADAPTERS.get(arm.bus.interface, SERIAL_ADAPTERS["slcan"])
-    frames = arm.joints[joint].drive.readings(arm.bus)
-    return sum(one.bits / arm.bus.bitrate + byte_s(arm) * adapter.bytes_of(one) for one in frames)
+    bus = arm.bus_of(arm.joints[joint])
+    adapter = SERIAL_ADAPTERS.get(bus.interface, SERIAL_ADAPTERS["slcan"])
+    frames = arm.joints[joint].drive.readings(bus)
+    return sum(one.bits / bus.bitrate + byte_s(bus) * adapter.bytes_of(one) for one in frames)
 
 
 class Bench(Session):

@@ -46,7 +46,7 @@ def one_of(values: tuple[Value, ...]) -> Callable[[int], Value]:
 
 def wanted_answers(whose: Whose) -> Value:
     """Whether commands are acknowledged, where the arm file names that."""
-    bus = whose.arm.bus
+    bus = whose.arm.bus_of(whose.config)
     return ANSWERS[bus.acknowledge] if "acknowledge" in bus.model_fields_set else None
 
 

@@ -80,8 +80,8 @@ def number(whose: Whose) -> Value:
 
 
 def bitrate(whose: Whose) -> Value:
-    """The bus's bit rate."""
-    return whose.arm.bus.bitrate
+    """The bit rate of its bus."""
+    return whose.arm.bus_of(whose.config).bitrate
 
 
 def named(key: str) -> Callable[[Whose], Value]:
@@ -227,6 +227,7 @@ class Table:
 
     def _left_alone(self, whose: Whose, found: Reading, settings: list[Setting]) -> list[str]:
         drive, state = whose.drive, found.state
+        bus = whose.arm.bus_of(whose.config)
         if found.shared_address:
             return [
                 f"More than one drive answers at {drive.number_field} {drive.number} of {whose.config.name}: unplug "
@@ -235,7 +236,7 @@ class Table:
         if state is None:
             return [
                 f"{whose.called} does not answer: check its power, its {drive.number_field} and its bit rate "
-                f"({whose.arm.bus.bitrate} bit/s), and the CAN wires with 120 Ω at both ends; `rtarm scan` looks for "
+                f"({bus.bitrate} bit/s), and the CAN wires with 120 Ω at both ends; `rtarm scan` looks for "
                 "it elsewhere."
             ]
         reasons = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
+from config.bus import BusConfig
 from config.drives.zdt import FULL_STEPS_PER_REVOLUTION, ZdtDrive
 from config.joint import JointConfig
 from config.schema import ArmConfig
@@ -50,19 +51,19 @@ def report_of(arm: ArmConfig, joint: int, found: Reading, shared: int | None = N
         if found.homing is None
         else {**asdict(found.homing), "mode": _named(protocol.HOMING_MODES, found.homing.mode)},
         trip=None if found.trip is None else asdict(found.trip),
-        settings=[] if version is None else _settings(arm, drive, found),
+        settings=[] if version is None else _settings(arm.bus_of(config), drive, found),
         left_alone=_left_alone(arm, config, drive, found, shared),
         notes=[] if block is None else _notes(config, found),
     )
 
 
-def _settings(arm: ArmConfig, drive: ZdtDrive, found: Reading) -> list[Setting]:
+def _settings(bus: BusConfig, drive: ZdtDrive, found: Reading) -> list[Setting]:
     version, block = found.version, found.block
     assert version is not None
     settings = [compared("firmware", drive.firmware if drive.firmware != "auto" else None, str(version))]
     if block is None:
         return settings
-    named, bus = drive.model_fields_set, arm.bus
+    named = drive.model_fields_set
     response = ("receive" if bus.acknowledge else "none") if "acknowledge" in bus.model_fields_set else None
     settings += [
         compared("address", drive.address, block.address),
@@ -108,8 +109,8 @@ def _left_alone(arm: ArmConfig, config: JointConfig, drive: ZdtDrive, found: Rea
         ]
     if version is None:
         return [
-            f"{who} does not answer: check its power, its address and the bit rate ({arm.bus.bitrate} bit/s) in its "
-            "menu, and the CAN wires with 120 Ω at both ends; `rtarm scan` looks for it elsewhere."
+            f"{who} does not answer: check its power, its address and the bit rate ({arm.bus_of(config).bitrate} "
+            "bit/s) in its menu, and the CAN wires with 120 Ω at both ends; `rtarm scan` looks for it elsewhere."
         ]
     if found.other_block is not None:
         return [

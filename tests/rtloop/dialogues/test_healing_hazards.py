@@ -259,7 +259,7 @@ def test_what_happens_while_the_drives_are_asked_for_their_power_counts(
 def test_a_controller_that_left_the_bus_under_the_fault_keeps_it(moving: VirtualArm) -> None:
     """Bus-off by itself would wait for a person, too; only the first fault stands in the snapshot."""
     goes_silent(moving)
-    moving.memory["bus"]["transmit_inhibited"] = 1  # what `rtloop.bus.measured.take_error` does with it
+    moving.memory["buses"][0]["transmit_inhibited"] = 1  # what `rtloop.bus.measured.take_error` does with it
     moving.state.record["counters"]["bus_state"] = BusState.BUS_OFF
     is_heard(moving)
     wait(moving)
@@ -268,9 +268,9 @@ def test_a_controller_that_left_the_bus_under_the_fault_keeps_it(moving: Virtual
 
 def test_a_wire_that_went_under_the_fault_keeps_it(moving: VirtualArm) -> None:
     goes_silent(moving)
-    received.close(moving.loop[0], 5)
+    received.close(moving.loop[0]["buses"][0], 5)
     moving.cycles(20)
-    moving.loop[0]["received"]["arrived"]["closed"] = 0  # plugged in again
+    moving.loop[0]["buses"][0]["received"]["arrived"]["closed"] = 0  # plugged in again
     is_heard(moving)
     wait(moving)
     assert still_faulted(moving)

@@ -216,11 +216,11 @@ def test_a_setpoint_that_is_no_number_stops_the_joint_in_a_fault_as_well(kind: K
 def test_where_there_is_no_room_nothing_is_said(kind: Kind) -> None:
     rig = Rig.named(*kind).stands(0.0)
     rig.axis["measured"]["readings"] = 1
-    rig.record["outgoing"]["length"] = TX_BYTES - 1
+    rig.record["buses"][0]["outgoing"]["length"] = TX_BYTES - 1
     for function in ("lead", "ask_position", "ask_status"):
         getattr(rig.codec, function)(rig.record, 0, rig.shared[0])
     assert not rig.codec.stop(rig.record, 0, rig.shared[0])
-    assert (rig.record["outgoing"]["frames"], rig.axis["reply"]["questions"]) == (0, 0)
+    assert (rig.record["buses"][0]["outgoing"]["frames"], rig.axis["reply"]["questions"]) == (0, 0)
     assert len(rig.sends("ask_position")) == DRIVES[kind].is_asked, "it has not been asked yet"
 
 

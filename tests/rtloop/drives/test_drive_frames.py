@@ -119,23 +119,26 @@ class Drive:
         self.axis["measured"]["position_rad"] = self.axis["tracking"]["reference_rad"] = 0.5
         self.axis["measured"]["readings"], self.axis["measured"]["time_ns"] = 3, NOW_NS
         self.axis["sent"]["asked_cycle"] = self.axis["sent"]["led_cycle"] = 11
-        self.memory["bus"]["sync_cycle"] = 11
+        self.bus, self.outgoing = self.memory["buses"][0], self.memory["buses"][0]["outgoing"]
+        self.bus["sync_cycle"] = 11
         self.axis["reference"]["unreferenced_reason"] = Unreferenced.NOT_BROUGHT_UP
 
     def sends(self, function: str) -> list[Frame]:
-        self.memory["outgoing"]["frames"] = self.memory["outgoing"]["length"] = 0
+        self.outgoing["frames"] = self.outgoing["length"] = 0
         getattr(self.module, function)(self.loop[0], JOINT, self.shared[0])
         words = ("ids", "kinds", "sizes", "joined", "stops")
-        return [
-            tuple(int(self.memory["outgoing"][word][number]) for word in words)
-            for number in range(self.memory["outgoing"]["frames"])
-        ]
+        return [tuple(int(self.outgoing[word][number]) for word in words) for number in range(self.outgoing["frames"])]
 
     def said(self) -> str:
         """Data of the last frame that was sent."""
-        last = int(self.memory["outgoing"]["frames"]) - 1
-        size = 0 if self.loop[0]["outgoing"]["kinds"][last] & REMOTE else int(self.loop[0]["outgoing"]["sizes"][last])
-        return self.loop[0]["outgoing"]["payloads"][last].tobytes()[:size].hex(" ").upper()
+        last = int(self.outgoing["frames"]) - 1
+        size = 0 if self.outgoing["kinds"][last] & REMOTE else int(self.outgoing["sizes"][last])
+        return str(self.outgoing["payloads"][last].tobytes()[:size].hex(" ").upper())
+
+    def fill(self) -> None:
+        """Leave no room for another frame."""
+        self.outgoing["length"] = len(self.outgoing["bytes"]) - 1
+        self.outgoing["frames"] = len(self.outgoing["ids"])
 
 
 @every_arm
@@ -159,8 +162,7 @@ def test_a_stop_without_room_is_said_to_be_none(name: str) -> None:
     drive = Drive(name)
     stop = drive.module.stop
     assert stop(drive.loop[0], JOINT, drive.shared[0]) is True
-    drive.memory["outgoing"]["length"] = len(drive.loop[0]["outgoing"]["bytes"]) - 1
-    drive.memory["outgoing"]["frames"] = len(drive.loop[0]["outgoing"]["ids"])
+    drive.fill()
     assert stop(drive.loop[0], JOINT, drive.shared[0]) is False
 
 
@@ -171,8 +173,7 @@ def test_a_question_for_the_position_is_noted_where_it_is_sent(name: str) -> Non
     assert (drive.sends("ask_position"), drive.said()) == (frames, data)
     assert drive.axis["reply"]["questions"] == len(frames)
     drive.memory["timing"]["cycle"] += 1
-    drive.memory["outgoing"]["length"] = len(drive.loop[0]["outgoing"]["bytes"]) - 1
-    drive.memory["outgoing"]["frames"] = len(drive.loop[0]["outgoing"]["ids"])
+    drive.fill()
     drive.module.ask_position(drive.loop[0], JOINT, drive.shared[0])
     assert drive.axis["reply"]["questions"] == len(frames)
 

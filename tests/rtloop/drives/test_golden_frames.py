@@ -83,10 +83,12 @@ def test_what_is_said(family: str, vector: dict[str, Any]) -> None:
     assert sent == [text_of_vector(text) for text in vector["frames"]]
     assert rig.axis["reply"]["questions"] == vector.get("questions", int(does == "ask_position"))
     last = len(sent) - 1
-    stops = [int(rig.record["outgoing"]["stops"][number]) for number in range(len(sent))]
+    stops = [int(rig.record["buses"][0]["outgoing"]["stops"][number]) for number in range(len(sent))]
     assert stops == [0 if does == "stop" and number == last else -1 for number in range(len(sent))]
     if does == "lead":
-        assert [int(rig.record["outgoing"]["joined"][number]) for number in range(len(sent))] == [1] * last + [0]
+        assert [int(rig.record["buses"][0]["outgoing"]["joined"][number]) for number in range(len(sent))] == [
+            1
+        ] * last + [0]
 
 
 @pytest.mark.parametrize(("family", "vector"), vectors("does"))

@@ -66,7 +66,7 @@ def test_nothing_is_told_where_nobody_knows_the_place(name: str, unknown: tuple[
         part, word, value = unknown
         axis[part][word] = value
     assert families.stop(cycle.loop[0], 1, cycle.shared[0])
-    assert (cycle.loop[0]["outgoing"]["frames"] == 0) == (unknown is not None)
+    assert (cycle.loop[0]["buses"][0]["outgoing"]["frames"] == 0) == (unknown is not None)
 
 
 @pytest.mark.parametrize("name", ["odrive6", "mks6", "damiao6", "cia402_6", "myactuator6", "robstride6", "vesc6"])

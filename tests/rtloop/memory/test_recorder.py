@@ -95,7 +95,7 @@ def test_signs_before_a_fault_are_kept(arm):
     goal = arm.play(GOAL)
     arm.until(lambda: arm.running_goal == goal)
     arm.cycles(10)
-    received.push(arm.loop[0], arm.now_ns, np.array([BEL], np.uint8), 1)
+    received.push(arm.loop[0]["buses"][0], arm.now_ns, np.array([BEL], np.uint8), 1)
     arm.cycle()
     arm.sim.inject(Silent("joint2", at_s=0.0), since_ns=arm.now_ns)
     arm.until(lambda: arm.is_slowed(Slowed.LATE_DRIVE))

@@ -40,7 +40,7 @@ def moving() -> Iterator[TrialArm]:
 def say(arm: VirtualArm, *lines: bytes) -> None:
     """Let the adapter say something now, beside what the drives say."""
     data = b"".join(line + b"\r" for line in lines)
-    received.push(arm.loop[0], arm.now_ns, np.frombuffer(data, np.uint8), len(data))
+    received.push(arm.loop[0]["buses"][0], arm.now_ns, np.frombuffer(data, np.uint8), len(data))
 
 
 def position_line(arm: VirtualArm, joint: int, off_rad: float = 0.0) -> bytes:
@@ -197,7 +197,7 @@ def test_babble_fills_the_ring_and_the_cycle_goes_on(moving: TrialArm) -> None:
     """The work of a cycle is bounded by the receive ring, whatever is pushed into it."""
     line = position_line(moving, 5)
     noise = (line + b"\r") * (2 * RX_BYTES // len(line))
-    received.push(moving.loop[0], moving.now_ns, np.frombuffer(noise, np.uint8), len(noise))
+    received.push(moving.loop[0]["buses"][0], moving.now_ns, np.frombuffer(noise, np.uint8), len(noise))
     moving.cycles(2)
     assert moving.state.record["counters"]["receive_overflows"] > 0
     assert moving.end_of(moving.goal) == Outcome.SUCCEEDED

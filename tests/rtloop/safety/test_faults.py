@@ -113,11 +113,11 @@ def test_a_drive_that_lost_power_gets_its_stop_and_no_motion_frame() -> None:
 def test_a_drive_that_reports_a_fault_of_its_own_is_named_and_not_led(flags: int) -> None:
     """Twice in a row, since one garbled digit is no report."""
     arm = VirtualArm.amid("large")
-    while arm.memory["bus"]["status_turn"] != 5:  # joint3's own answer is not due then
+    while arm.memory["buses"][0]["status_turn"] != 5:  # joint3's own answer is not due then
         arm.cycle()
     since = len(arm.sent)
     line = f"T0000030033A{flags:02X}6B\r".encode()
-    received.push(arm.loop[0], arm.now_ns, np.frombuffer(line * 2, np.uint8), 2 * len(line))
+    received.push(arm.loop[0]["buses"][0], arm.now_ns, np.frombuffer(line * 2, np.uint8), 2 * len(line))
     arm.cycle()
     assert (arm.memory["fault"]["code"], arm.memory["fault"]["joint"]) == (Fault.DRIVE_FAULT, 2)
     assert arm.outcome(arm.goal) == Outcome.FAULT
@@ -136,7 +136,7 @@ def test_a_held_shaft_is_a_following_error() -> None:
 
 def test_a_vanished_wire_is_a_fault() -> None:
     arm = VirtualArm.amid("large")
-    received.close(arm.loop[0], 5)
+    received.close(arm.loop[0]["buses"][0], 5)
     arm.cycle()
     assert (arm.memory["fault"]["code"], arm.memory["fault"]["value"]) == (Fault.WIRE, 5.0)
     assert arm.outcome(arm.goal) == Outcome.FAULT
@@ -238,7 +238,7 @@ def test_one_garbled_digit_neither_faults_nor_is_published() -> None:
     for line in (b"T00000100736002FFFFFFF6B\r", b"T000001003" + b"3A" + b"08" + b"6B\r"):
         before = arm.loop[0]["axes"][0]["measured"]["position_rad"]
         data = np.frombuffer(line, np.uint8)
-        received.push(arm.loop[0], arm.now_ns, data, len(data))
+        received.push(arm.loop[0]["buses"][0], arm.now_ns, data, len(data))
         arm.cycle()
         assert arm.memory["fault"]["code"] == Fault.NONE
         assert abs(arm.loop[0]["axes"][0]["measured"]["position_rad"] - before) < 0.05
@@ -270,17 +270,17 @@ def test_frames_the_wire_did_not_take_are_not_sent_late() -> None:
     arm.listen(arm.now_ns)
     arm.writer.beat(arm.now_ns)
     step(arm.loop[0], arm.state.array[0], arm.now_ns)  # a cycle of whose first line five characters are taken
-    stuck = int(arm.memory["outgoing"]["length"])
-    outgoing.took(arm.loop[0], arm.state.array[0], 5)
+    stuck = int(arm.memory["buses"][0]["outgoing"]["length"])
+    outgoing.took(arm.loop[0], arm.state.array[0], arm.loop[0]["buses"][0], 5)
     arm.now_ns += arm.period_ns
     arm.listen(arm.now_ns)
     arm.writer.beat(arm.now_ns)
     count = step(arm.loop[0], arm.state.array[0], arm.now_ns)
-    lines = arm.loop[0]["outgoing"]["bytes"][:count].tobytes().split(b"\r")
+    lines = arm.loop[0]["buses"][0]["outgoing"]["bytes"][:count].tobytes().split(b"\r")
     firsts = [line for line in lines if line.startswith(b"T000002008FD")]
     assert len(firsts) == 1
     assert 0 < arm.state.record["counters"]["bytes_unsent"] < stuck
-    arm.memory["outgoing"]["length"] = 0
+    arm.memory["buses"][0]["outgoing"]["length"] = 0
     arm.close()
 
 

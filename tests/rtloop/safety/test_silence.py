@@ -121,7 +121,7 @@ def cycle_late() -> VirtualArm:
 
 def reader_late() -> VirtualArm:
     arm = Frozen.amid("large")
-    received.awake(arm.loop[0], arm.now_ns)
+    received.awake(arm.loop[0]["buses"][0], arm.now_ns)
     arm.frozen = True
     return latched(arm)
 
@@ -222,7 +222,7 @@ def test_the_evidence_moves_nothing() -> None:
         arm = Frozen.amid("large")
         if evidence:
             arm.loop[0]["params"]["simulated"] = 1
-            received.awake(arm.loop[0], arm.now_ns)
+            received.awake(arm.loop[0]["buses"][0], arm.now_ns)
         arm.frozen = True
         latched(arm)
         assert bool(int(arm.memory["fault"]["evidence"]) & Evidence.SIMULATED) == evidence

@@ -505,13 +505,14 @@ def cycle():
 
 def test_the_cycle_says_of_each_frame_when_it_was_made_and_what_it_is(cycle):
     """Bytes that a raw CAN socket does not use, in the form in which the bridge reads them."""
-    loop = cycle.loop[0]
+    loop, joint = cycle.loop[0], 3
     loop["timing"]["now_ns"] = 123_456_789_012_999_999
-    outgoing.put(loop, 0x100, EXTENDED_KIND, 8, 0x0807060504030201, 1)
-    outgoing.put(loop, 0x101, EXTENDED_KIND, 1, 0x09, 0)
-    outgoing.put(loop, 0x200, EXTENDED_KIND, 2, 0x0201, 0, 3)
+    outgoing.send(loop, cycle.shared[0], joint, 0x100, EXTENDED_KIND, 8, 0x0807060504030201, 1)
+    outgoing.send(loop, cycle.shared[0], joint, 0x101, EXTENDED_KIND, 1, 0x09, 0)
+    outgoing.send(loop, cycle.shared[0], joint, 0x200, EXTENDED_KIND, 2, 0x0201, 0, joint)
     made = 123_456_789_012 & 0xFFFF
-    assert list(bridge_module.RECORD.iter_unpack(loop["outgoing"]["bytes"][: 3 * CAN_FRAME_BYTES].tobytes())) == [
+    sent = loop["buses"][0]["outgoing"]["bytes"][: 3 * CAN_FRAME_BYTES].tobytes()
+    assert list(bridge_module.RECORD.iter_unpack(sent)) == [
         (0x100 | EXTENDED, 8, can_words.JOINED, made, bytes(range(1, 9))),
         (0x101 | EXTENDED, 1, 0, made, b"\x09" + bytes(7)),
         (0x200 | EXTENDED, 2, can_words.STOP, made, b"\x01\x02" + bytes(6)),
@@ -521,7 +522,7 @@ def test_the_cycle_says_of_each_frame_when_it_was_made_and_what_it_is(cycle):
 def test_what_was_taken_and_not_sent_is_taken_back_once(cycle):
     counters = cycle.shared[0]["counters"]
     counters["frames_sent"], counters["bytes_sent"] = 10, 10 * CAN_FRAME_BYTES
-    unsent = cycle.loop[0]["received"]["arrived"]
+    unsent = cycle.loop[0]["buses"][0]["received"]["arrived"]
     for in_all in (3, 3, 4):
         unsent["unsent"] = in_all * CAN_FRAME_BYTES
         take_what_the_bus_brought(cycle.loop[0], cycle.shared[0])
@@ -532,7 +533,7 @@ def test_what_was_taken_and_not_sent_is_taken_back_once(cycle):
 
 def test_what_is_unreadable_is_a_wire_error(cycle):
     data = np.frombuffer(UNREADABLE + record(0x100, ANSWER), np.uint8)
-    received.push(cycle.loop[0], 1_000, data, len(data))
+    received.push(cycle.loop[0]["buses"][0], 1_000, data, len(data))
     take_what_the_bus_brought(cycle.loop[0], cycle.shared[0])
     counters = cycle.shared[0]["counters"]
     assert (counters["wire_errors"], counters["frames_received"]) == (1, 1)

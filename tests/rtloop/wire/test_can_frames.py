@@ -37,15 +37,15 @@ def loop(shared):
 
 def decoded(loop, data, at=0):
     """What the record at a byte of the ring means: kind, identifier, extended, data."""
-    loop[0]["received"]["bytes"][at : at + len(data)] = np.frombuffer(data, np.uint8)
-    kind, frame_id, extended, length, value = (int(part) for part in can_frame.decode_record(loop[0], at))
+    loop[0]["buses"][0]["received"]["bytes"][at : at + len(data)] = np.frombuffer(data, np.uint8)
+    kind, frame_id, extended, length, value = (int(part) for part in can_frame.decode_record(loop[0]["buses"][0], at))
     return kind, frame_id, extended, data_of(value, length)
 
 
 def brought(loop, shared, *records):
     """Let the cycle take what came, one batch."""
     data = np.frombuffer(b"".join(records), np.uint8)
-    received.push(loop[0], 1_000, data, len(data))
+    received.push(loop[0]["buses"][0], 1_000, data, len(data))
     take_what_the_bus_brought(loop[0], shared[0])
 
 
@@ -56,10 +56,10 @@ def brought(loop, shared, *records):
 @given(identifiers, st.binary(max_size=8))
 def test_what_is_encoded_is_what_a_raw_socket_takes(identifier, data):
     loop = new_loop(ARM, 0, 0)
-    loop[0]["outgoing"]["bytes"] = 0xAA
+    loop[0]["buses"][0]["outgoing"]["bytes"] = 0xAA
     frame_id, extended = identifier
-    assert can_frame.encode_frame(loop[0], frame_id, extended, len(data), word(data))
-    sent = loop[0]["outgoing"]["bytes"][: int(loop[0]["outgoing"]["length"])].tobytes()
+    assert can_frame.encode_frame(loop[0]["buses"][0], frame_id, extended, len(data), word(data))
+    sent = loop[0]["buses"][0]["outgoing"]["bytes"][: int(loop[0]["buses"][0]["outgoing"]["length"])].tobytes()
     assert sent == record(frame_id, data, flags=EXTENDED if extended else 0)
 
 
@@ -92,19 +92,20 @@ def test_any_record_is_a_frame_or_refused(data):
 
 def test_a_full_transmit_buffer_takes_no_half_frames(loop):
     memory = loop[0]
-    memory["outgoing"]["length"] = TX_BYTES - CAN_FRAME_BYTES + 1
-    assert not can_frame.encode_frame(loop[0], 0x100, True, 2, 0x6B36)
-    assert memory["outgoing"]["length"] == TX_BYTES - CAN_FRAME_BYTES + 1
+    memory["buses"][0]["outgoing"]["length"] = TX_BYTES - CAN_FRAME_BYTES + 1
+    assert not can_frame.encode_frame(loop[0]["buses"][0], 0x100, True, 2, 0x6B36)
+    assert memory["buses"][0]["outgoing"]["length"] == TX_BYTES - CAN_FRAME_BYTES + 1
 
 
 @pytest.mark.parametrize("now_ms", [0, 0x1234, 0xFEDC, 0x12345])
 def test_our_own_marks_stand_in_the_unused_bytes_of_the_last_frame(loop, now_ms):
     """And when it was made: milliseconds, 16 bits."""
-    loop[0]["timing"]["now_ns"] = now_ms * 1_000_000 + 999_999
     for _ in range(2):
-        assert can_frame.encode_frame(loop[0], 0x100, True, 8, -1)
-    can_frame.mark(loop[0], can_words.STOP)
-    first, last = (loop[0]["outgoing"]["bytes"][at : at + CAN_FRAME_BYTES].tobytes() for at in (0, CAN_FRAME_BYTES))
+        assert can_frame.encode_frame(loop[0]["buses"][0], 0x100, True, 8, -1)
+    can_frame.mark(loop[0]["buses"][0], can_words.STOP, now_ms)
+    first, last = (
+        loop[0]["buses"][0]["outgoing"]["bytes"][at : at + CAN_FRAME_BYTES].tobytes() for at in (0, CAN_FRAME_BYTES)
+    )
     assert first == record(0x100, b"\xff" * 8)
     assert last == first[:5] + bytes((can_words.STOP, now_ms & 255, now_ms >> 8 & 255)) + first[8:]
 
@@ -141,7 +142,7 @@ def test_a_full_ring_loses_whole_frames(loop, shared):
     reading = bytes((0x36, 0, 0, 0, 0x40, 0, 0x6B))
     chunk = np.frombuffer(record(0x100, reading) * 100, np.uint8)
     for _ in range(RX_BYTES // len(chunk) + 2):
-        received.push(loop[0], 1_000, chunk, len(chunk))
+        received.push(loop[0]["buses"][0], 1_000, chunk, len(chunk))
     take_what_the_bus_brought(loop[0], shared[0])
     counters = shared[0]["counters"]
     assert counters["receive_overflows"] > 0

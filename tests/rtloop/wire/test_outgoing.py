@@ -43,8 +43,13 @@ class Sender:
             self.shared[0]["counters"]["frames_sent"] += 1
 
     @property
+    def bus(self):
+        return self.loop[0]["buses"][0]
+
+    @property
     def buffer(self):
-        return self.loop[0]["outgoing"]["bytes"][: int(self.loop[0]["outgoing"]["length"])].tobytes()
+        outgoing = self.bus["outgoing"]
+        return outgoing["bytes"][: int(outgoing["length"])].tobytes()
 
     def take(self, count):
         data = self.buffer[:count]
@@ -131,7 +136,7 @@ def test_nothing_of_before_is_sent_on_another_wire(interface):
     sender.fill(FIRST)
     sender.take(len(sender.buffer) // len(CYCLE))
     assert sender.buffer
-    outgoing.forget(sender.loop[0], sender.shared[0])
+    outgoing.forget(sender.loop[0], sender.shared[0], sender.bus)
     sender.fill(SECOND)
     assert {mark for _, mark in sender.frames(sender.buffer)} == {SECOND}
 
@@ -140,10 +145,10 @@ def test_nothing_of_before_is_sent_on_another_wire(interface):
 def test_a_full_buffer_takes_no_more_frames(interface):
     sender = Sender(interface)
     count = 0
-    while outgoing.put(sender.loop[0], 0x100, True, 8, -1, 0):
+    while outgoing.put(sender.bus, 0, 0x100, True, 8, -1, 0):
         count += 1
-    assert count == int(sender.loop[0]["outgoing"]["frames"]) <= TX_FRAMES
-    assert not outgoing.has_room(sender.loop[0], 1)
+    assert count == int(sender.bus["outgoing"]["frames"]) <= TX_FRAMES
+    assert not outgoing.has_room(sender.bus, 1)
 
 
 # --- batches, over a socket that keeps the borders of messages as a raw CAN socket does ---------------------
@@ -174,7 +179,7 @@ def messages(theirs):
 def test_a_cycles_frames_leave_one_message_each(pair):
     sender = Sender("socketcan")
     sender.fill(FIRST)
-    run.send_bytes(sender.loop[0], sender.shared[0], pair[0].fileno())
+    run.send_bytes(sender.loop[0], sender.shared[0], sender.bus, pair[0].fileno())
     found = messages(pair[1])
     assert [len(message) for message in found] == [CAN_FRAME_BYTES] * len(CYCLE)
     assert sender.frames(b"".join(found)) == [(can_id, FIRST) for can_id, _ in CYCLE]
@@ -188,15 +193,15 @@ def test_a_full_queue_tears_no_command(pair):
     sender = Sender("socketcan")
     for number in range(50):
         sender.fill(bytes((number,)))
-        run.send_bytes(sender.loop[0], sender.shared[0], pair[0].fileno())
-    assert received.closed(sender.loop[0]) == 0
+        run.send_bytes(sender.loop[0], sender.shared[0], sender.bus, pair[0].fileno())
+    assert received.closed(sender.loop[0]["buses"][0]) == 0
     counters = sender.shared[0]["counters"]
     assert counters["bytes_unsent"] > 0
     found = messages(pair[1])
     sender.fill(b"\xee")
     held_back = len(sender.buffer) - len(CYCLE) * CAN_FRAME_BYTES
     assert held_back in (0, CAN_FRAME_BYTES)
-    run.send_bytes(sender.loop[0], sender.shared[0], pair[0].fileno())
+    run.send_bytes(sender.loop[0], sender.shared[0], sender.bus, pair[0].fileno())
     found += messages(pair[1])
     frames = sender.frames(b"".join(found))
     assert counters["frames_sent"] == len(frames)
@@ -208,10 +213,10 @@ def test_a_wire_that_refuses_is_closed_and_nothing_is_kept(interface):
     sender = Sender(interface)
     sender.fill(FIRST)
     descriptor = os.open("/dev/null", os.O_RDONLY)
-    run.send_bytes(sender.loop[0], sender.shared[0], descriptor)
+    run.send_bytes(sender.loop[0], sender.shared[0], sender.bus, descriptor)
     os.close(descriptor)
     expected = errno.ENOTSOCK if interface == "socketcan" else errno.EBADF
-    assert received.closed(sender.loop[0]) == expected + 1
+    assert received.closed(sender.loop[0]["buses"][0]) == expected + 1
     assert sender.buffer == b""
 
 
@@ -220,7 +225,7 @@ def test_frames_are_read_in_batches(pair):
     records = [bytes((number,)) * CAN_FRAME_BYTES for number in range(20)]
     for data in records:
         pair[1].send(data)
-    count = run.read_some(sender.loop[0], pair[0].fileno())
+    count = run.read_some(sender.bus, pair[0].fileno())
     assert count == len(records) * CAN_FRAME_BYTES
-    assert sender.loop[0]["reader"]["bytes"][:count].tobytes() == b"".join(records)
-    assert run.read_some(sender.loop[0], pair[0].fileno()) == -1
+    assert sender.bus["reader"]["bytes"][:count].tobytes() == b"".join(records)
+    assert run.read_some(sender.bus, pair[0].fileno()) == -1

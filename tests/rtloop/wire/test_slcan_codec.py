@@ -45,16 +45,16 @@ def shared():
 def encoded(loop, frame):
     """The line of a frame, by the compiled function."""
     frame_id, extended, data = frame
-    loop[0]["outgoing"]["length"] = 0
-    assert slcan.encode_frame(loop[0], frame_id, bool(extended), len(data), word(data))
-    return loop[0]["outgoing"]["bytes"][: int(loop[0]["outgoing"]["length"])].tobytes()
+    loop[0]["buses"][0]["outgoing"]["length"] = 0
+    assert slcan.encode_frame(loop[0]["buses"][0], frame_id, bool(extended), len(data), word(data))
+    return loop[0]["buses"][0]["outgoing"]["bytes"][: int(loop[0]["buses"][0]["outgoing"]["length"])].tobytes()
 
 
 def decoded(loop, line):
     """What a line (without its CR) means."""
-    loop[0]["parser"]["line_length"] = len(line)
-    loop[0]["parser"]["line"][: len(line)] = np.frombuffer(line, np.uint8)
-    kind, frame_id, extended, length, data = (int(value) for value in slcan.decode_line(loop[0]))
+    loop[0]["buses"][0]["parser"]["line_length"] = len(line)
+    loop[0]["buses"][0]["parser"]["line"][: len(line)] = np.frombuffer(line, np.uint8)
+    kind, frame_id, extended, length, data = (int(value) for value in slcan.decode_line(loop[0]["buses"][0]))
     return kind, (frame_id, extended, data_of(data, length))
 
 
@@ -132,11 +132,11 @@ def test_any_line_is_a_frame_or_refused(line):
 
 def test_a_full_transmit_buffer_takes_no_half_lines(loop):
     memory = loop[0]
-    memory["outgoing"]["length"] = TX_BYTES - SLCAN_LONGEST_LINE + 1
-    before = loop[0]["outgoing"]["bytes"].copy()
-    assert not slcan.encode_frame(loop[0], 0x100, True, 2, 0x6B36)
-    assert memory["outgoing"]["length"] == TX_BYTES - SLCAN_LONGEST_LINE + 1
-    assert np.array_equal(loop[0]["outgoing"]["bytes"], before)
+    memory["buses"][0]["outgoing"]["length"] = TX_BYTES - SLCAN_LONGEST_LINE + 1
+    before = loop[0]["buses"][0]["outgoing"]["bytes"].copy()
+    assert not slcan.encode_frame(loop[0]["buses"][0], 0x100, True, 2, 0x6B36)
+    assert memory["buses"][0]["outgoing"]["length"] == TX_BYTES - SLCAN_LONGEST_LINE + 1
+    assert np.array_equal(loop[0]["buses"][0]["outgoing"]["bytes"], before)
 
 
 # --- python-can's opinion -----------------------------------------------------------------------------
@@ -198,7 +198,7 @@ def test_no_bytes_whatever_hinder_the_next_frame(noise):
     loop, shared = new_loop(load_arm("episode1"), 0, 0), np.zeros(1, layout.StateFile.dtype)
     taken(loop, shared, noise + b"\r")
     assert taken(loop, shared, POSITION) == (1, 0)
-    assert 0 <= loop[0]["parser"]["line_length"] <= LINE_BYTES
+    assert 0 <= loop[0]["buses"][0]["parser"]["line_length"] <= LINE_BYTES
 
 
 def test_too_many_small_chunks_are_dropped_and_counted(loop, shared):

@@ -104,7 +104,7 @@ def test_a_bus_that_goes_off_again_after_a_clear_is_latched_again():
     assert arm.bring_up(clears_protection=True).failure is None
     assert (arm.memory["mode"], arm.state.record["counters"]["bus_state"]) == (Mode.HOLDING, BusState.ACTIVE)
     hear(arm, can_words.BUS_OFF)
-    assert (arm.memory["fault"]["code"], arm.memory["bus"]["transmit_inhibited"]) == (Fault.BUS_OFF, 1)
+    assert (arm.memory["fault"]["code"], arm.memory["buses"][0]["transmit_inhibited"]) == (Fault.BUS_OFF, 1)
     arm.close()
 
 
@@ -160,7 +160,7 @@ class Replugged:
         self.arm = arm
         self.gone_ns = arm.now_ns
         self.since = len(arm.sent)
-        received.close(arm.loop[0], error)
+        received.close(arm.loop[0]["buses"][0], error)
 
     def away(self, cycles):
         self.arm.cycles(cycles)
@@ -168,9 +168,9 @@ class Replugged:
 
     def back(self):
         arm = self.arm
-        arm.loop[0]["received"]["arrived"]["closed"] = 0
-        arm.loop[0]["wire"]["fd"] = 7
-        assert take_over_wire(arm.loop[0], arm.state.array[0]) == 7
+        arm.loop[0]["buses"][0]["received"]["arrived"]["closed"] = 0
+        arm.loop[0]["buses"][0]["wire"]["fd"] = 7
+        assert take_over_wire(arm.loop[0], arm.state.array[0], arm.loop[0]["buses"][0]) == 7
 
 
 @pytest.mark.parametrize("interface", ["slcan", "socketcan"])
@@ -183,7 +183,7 @@ def test_a_wire_that_is_back_moves_nothing_until_the_fault_is_cleared(interface,
     assert arm.bring_up().failure is None
     goal = arm.play("large")
     arm.cycles(120)
-    outgoing.took(arm.loop[0], arm.state.array[0], 0)
+    outgoing.took(arm.loop[0], arm.state.array[0], arm.loop[0]["buses"][0], 0)
     link = Replugged(arm, ENETDOWN if interface == "socketcan" else 5)
     link.away(cycles_away)
     assert arm.memory["fault"]["code"] == (Fault.LINK_DOWN if interface == "socketcan" else Fault.WIRE)

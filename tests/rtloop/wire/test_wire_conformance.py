@@ -72,7 +72,8 @@ class Bench:
 
     @property
     def buffer(self) -> bytes:
-        made: bytes = self.loop[0]["outgoing"]["bytes"][: int(self.loop[0]["outgoing"]["length"])].tobytes()
+        outgoing = self.loop[0]["buses"][0]["outgoing"]
+        made: bytes = outgoing["bytes"][: int(outgoing["length"])].tobytes()
         return made
 
     def take(self, count: int) -> bytes:
@@ -239,8 +240,8 @@ def test_a_ring_that_overflows_loses_what_it_has_no_room_for(bench: Bench, wire:
 @every_wire
 def test_nothing_of_another_wire_is_half_a_frame_of_this_one(bench: Bench, wire: Wire) -> None:
     bench.hear(wire.spell(READING)[: max(len(wire.spell(READING)) // 2 // wire.unit * wire.unit, 0)])
-    bench.loop[0]["wire"]["fd"] = 7
-    take_over_wire(bench.loop[0], bench.shared[0])
+    bench.loop[0]["buses"][0]["wire"]["fd"] = 7
+    take_over_wire(bench.loop[0], bench.shared[0], bench.loop[0]["buses"][0])
     assert bench.hear(wire.spell(READING)) == (1, 0)
 
 
@@ -272,8 +273,8 @@ def test_a_full_buffer_takes_no_more_and_what_it_took_is_whole(bench: Bench, wir
     count = 0
     while bench.put(frame):
         count += 1
-    assert 0 < count == int(bench.loop[0]["outgoing"]["frames"]) <= TX_FRAMES
-    assert not outgoing.has_room(bench.loop[0], 1)
+    assert 0 < count == int(bench.loop[0]["buses"][0]["outgoing"]["frames"]) <= TX_FRAMES
+    assert not outgoing.has_room(bench.loop[0]["buses"][0], 1)
     assert wire.read(bench.buffer) == [frame] * count
 
 
@@ -417,13 +418,13 @@ def test_a_wire_that_is_back_moves_nothing_until_the_fault_is_cleared(rig: Rig) 
     goal = rig.play()
     arm.cycles(60)
     gone_ns, since = arm.now_ns, len(arm.sent)
-    received.close(arm.loop[0], 5)
+    received.close(arm.loop[0]["buses"][0], 5)
     arm.cycles(3)
     assert arm.sent[since:] == [] and arm.memory["fault"]["code"] == Fault.WIRE and arm.outcome(goal) == Outcome.FAULT
     assert arm.ask(Request.CLEAR_FAULT) == Answer.REFUSED_WIRE
-    arm.loop[0]["received"]["arrived"]["closed"] = 0
-    arm.loop[0]["wire"]["fd"] = 7
-    assert take_over_wire(arm.loop[0], arm.state.array[0]) == 7
+    arm.loop[0]["buses"][0]["received"]["arrived"]["closed"] = 0
+    arm.loop[0]["buses"][0]["wire"]["fd"] = 7
+    assert take_over_wire(arm.loop[0], arm.state.array[0], arm.loop[0]["buses"][0]) == 7
     arm.cycles(200)
     assert not any(motion_frames(rig.told, drive, gone_ns) for drive in range(1, 7))
     assert motion_after(truth_of(arm.sim), gone_ns + 500_000_000, arm.sim.now_ns) == []

@@ -28,7 +28,7 @@ def set_point(counts: float, counts_s: float) -> int:
 def say(loop: Loop, joint: int, shared: StateFile, data: int, stops: int) -> bool:
     """Send a request, which the drive answers with its position; False if the transmit buffer has no room."""
     frame_id = REQUEST + loop.joints[joint].address
-    if not outgoing.send(loop, shared, frame_id, STANDARD, 8, data, 0, stops):
+    if not outgoing.send(loop, shared, joint, frame_id, STANDARD, 8, data, 0, stops):
         return False
     loop.axes[joint].sent.asked_cycle = loop.timing.cycle
     receiving.note_question(loop, joint)

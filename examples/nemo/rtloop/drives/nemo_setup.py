@@ -52,7 +52,9 @@ def bring_up(host: Host, joint: int) -> Part[Found]:
     address = _address(config)
     answer = yield _asked(address, protocol.STATE)
     if answer is None:
-        raise unanswered(joint, config, f"address {address}", f"its switches, the bit rate ({host.arm.bus.bitrate})")
+        raise unanswered(
+            joint, config, f"address {address}", f"its switches, the bit rate ({host.arm.bus_of(config).bitrate})"
+        )
     cleared = lambda: _told(joint, config, protocol.CLEAR)  # noqa: E731
     state = yield from without_error(host, joint, _state(answer), lambda state: state.error, cleared)
     if not state.holds:

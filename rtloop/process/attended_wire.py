@@ -1,0 +1,155 @@
+"""The wire of one bus while the control process runs: opened, given to its threads, let go, opened again."""
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from config.schema import ArmConfig
+from rtloop.memory.link import Bus
+from rtloop.memory.state import Loop
+from rtloop.process.compiled import CompiledCycle
+from rtloop.process.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
+from rtloop.wire.refusal import WireRefused
+from sentences.english import STILL_QUEUED, WIRE_IS_BACK
+from shm.record import offset_of
+
+REOPEN_EVERY_S = 0.5
+LOST_EVERY_S = 1.0
+LET_GO_POLL_S = 0.001
+
+
+class AttendedWire:
+    """The wire of the bus with this number in the loop; `arm` is the part of the arm (`ArmConfig.parts`) on it.
+
+    `start` starts the thread that the function it is given runs in, and returns it. `tell` gets every message for the
+    operator.
+    """
+
+    def __init__(
+        self,
+        arm: ArmConfig,
+        number: int,
+        loop: np.ndarray,
+        compiled: CompiledCycle,
+        *,
+        start: Callable[[Callable[[], None]], threading.Thread],
+        tell: Callable[[str], None],
+    ) -> None:
+        self._arm = arm
+        self._number = number
+        self._loop = loop
+        self._compiled = compiled
+        self._start = start
+        self._tell = tell
+        self._wire: OpenWire | None = None
+        self._reader: threading.Thread | None = None
+        self._dropped_before = self._unsent_before = 0
+        self._next_try_s = self._next_lost_s = 0.0
+        self._told = ""
+
+    @property
+    def channel(self) -> str:
+        """The device or interface that it is opened at."""
+        return self._arm.bus.resolved_channel
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether one of the threads has found that it is gone."""
+        return self._wire is not None and self._load("received", "arrived", "closed") != 0
+
+    def open(self) -> None:
+        """Open it and give it to the threads; raises WireRefused."""
+        wire = open_wire(self._arm)
+        if wire is None:
+            return
+        for complaint in wire.complaints:
+            self._tell(complaint)
+        self._wire = wire
+        self._dropped_before = self._load("received", "arrived", "dropped")
+        self._unsent_before = self._load("received", "arrived", "unsent")
+        self._store(wire.fd, "wire", "fd")
+        self._store(0, "received", "arrived", "closed")  # the last: the cycle makes frames from here on
+
+    def start_reader(self) -> None:
+        """Start its reader, if it is open."""
+        if self._wire is not None:
+            self._reader = self._start(self._read)
+
+    def _read(self) -> None:
+        kept = self._loop  # keeps it mapped while this runs
+        self._compiled.read_wire(kept.ctypes.data, self._number)
+
+    def attend(self, cycle_is_alive: Callable[[], bool]) -> None:
+        """Detect that the adapter is gone, and reopen it when it is back; only an operator's clear moves the arm."""
+        if self._arm.bus.interface == "mock":
+            return
+        now_s = time.monotonic()
+        if self._wire is None:
+            if now_s >= self._next_try_s:
+                self._next_try_s = now_s + REOPEN_EVERY_S
+                self._try_again()
+        elif self.is_gone:
+            self._let_go(self._wire, cycle_is_alive)
+            self._next_try_s = now_s
+        elif now_s >= self._next_lost_s:
+            self._next_lost_s = now_s + LOST_EVERY_S
+            self._count_lost(self._wire)
+
+    def join_reader(self, patience_s: float) -> None:
+        """Wait until its reader has ended, which the stop word asks it to."""
+        if self._reader is not None:
+            self._reader.join(patience_s)
+
+    def release(self) -> None:
+        """Close it, at the end."""
+        if self._wire is not None:
+            if keeps_frames(self._arm, self._wire):
+                self._tell(STILL_QUEUED.sentence.format(channel=self.channel))
+            self._close(self._wire)
+
+    def _count_lost(self, wire: OpenWire) -> None:
+        """Pass to the cycle the counts of dropped and unsent bytes, which ordinary Python alone can find out."""
+        self._store(self._dropped_before + lost_bytes(self._arm, wire), "received", "arrived", "dropped")
+        self._store(self._unsent_before + unsent_bytes(wire), "received", "arrived", "unsent")
+
+    def _let_go(self, wire: OpenWire, cycle_is_alive: Callable[[], bool]) -> None:
+        """Close a wire that is gone, once neither thread uses it any more."""
+        self._store(-1, "wire", "fd")
+        while self._load("wire", "fd_in_use") != -1 and cycle_is_alive():
+            time.sleep(LET_GO_POLL_S)
+        if self._reader is not None:
+            self._reader.join()
+            self._reader = None
+        self._close(wire)
+        self._store(self._unsent_before + unsent_bytes(wire), "received", "arrived", "unsent")
+        self._told = ""
+
+    def _try_again(self) -> None:
+        try:
+            self.open()
+        except WireRefused as refused:
+            if str(refused) != self._told:
+                self._tell(str(refused))
+            self._told = str(refused)
+            return
+        self.start_reader()
+        self._tell(WIRE_IS_BACK)
+
+    def _close(self, wire: OpenWire) -> None:
+        for complaint in close_wire(self._arm, wire):
+            self._tell(complaint)
+        self._wire = None
+
+    def _address(self, *word: str) -> int:
+        buses = offset_of(Loop, "buses") + self._number * Bus.dtype.itemsize
+        return int(self._loop.ctypes.data) + buses + offset_of(Bus, *word)
+
+    def _store(self, value: int, *word: str) -> None:
+        """Publish a word of the bus' record to the threads."""
+        self._compiled.store_word(self._address(*word), value)
+
+    def _load(self, *word: str) -> int:
+        found: int = self._compiled.load_word(self._address(*word))
+        return found
