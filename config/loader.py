@@ -202,20 +202,23 @@ def _exclusive(overrides: Mapping[str, Any], values: Mapping[str, Any]) -> Mappi
     bus, file_bus = overrides.get("bus"), values.get("bus")
     if not isinstance(bus, Mapping) or not isinstance(file_bus, Mapping):
         return overrides
+    return {**overrides, "bus": _of_one_bus(bus, file_bus)}
+
+
+def _of_one_bus(bus: Mapping[str, Any], file_bus: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The overrides of a bus, completed."""
     bus = _of_one_interface(bus, file_bus)
-    overrides = {**overrides, "bus": bus}
     if bus.get("interface") == "mock":
         absent = {key: None for key in ("channel", "usb_index") if file_bus.get(key) is not None}
-        return {**overrides, "bus": {**absent, **bus}}
+        return {**absent, **bus}
     interface = bus.get("interface")
     if "serial_baud" in file_bus and interface is not None and interface != file_bus.get("interface"):
         adapter = SERIAL_ADAPTERS.get(str(interface))
         bus = {"serial_baud": "cdc" if adapter is None else adapter.serial_baud, **bus}
-        overrides = {**overrides, "bus": bus}
     for given, other in (("channel", "usb_index"), ("usb_index", "channel")):
         if bus.get(given) is not None and other not in bus and file_bus.get(other) is not None:
-            return {**overrides, "bus": {**bus, other: None}}
-    return overrides
+            return {**bus, other: None}
+    return bus
 
 
 def _of_one_interface(bus: Mapping[str, Any], file_bus: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -241,8 +244,42 @@ def _merge(
             del merged[key]
         elif isinstance(value, Mapping):
             base = merged.get(key)
+            if here == ("bus",) and isinstance(base, list):
+                merged[key] = _merge_buses(base, value, overridden)
+                continue
             merged[key] = _merge(base if isinstance(base, Mapping) else {}, value, here, overridden)
         else:
             merged[key] = value
             overridden.add(text_of(here))
     return merged
+
+
+def _merge_buses(below: Sequence[Any], above: Mapping[str, Any], overridden: set[str]) -> list[Any]:
+    """The buses of a file with overrides: those under the name of a bus are for that one, all others for each."""
+    names = [bus.get("name") for bus in below if isinstance(bus, Mapping)]
+    for_each = {key: value for key, value in above.items() if key not in names}
+    merged = []
+    for index, bus in enumerate(below):
+        if not isinstance(bus, Mapping):
+            merged.append(bus)
+            continue
+        own = above.get(str(bus.get("name")))
+        if own is not None and not isinstance(own, Mapping):
+            raise ConfigError(
+                f"the override bus.{bus.get('name')}={own} gives a bus a value; name a field of it, such as "
+                f"bus.{bus.get('name')}.channel=can0."
+            )
+        merged.append(_merge(bus, _of_one_bus({**for_each, **(own or {})}, bus), ("bus", index), overridden))
+    return merged
+
+
+def bus_names(name_or_path: str | Path) -> list[str]:
+    """Names of the buses of an arm file that has a list of them; none where it has one bus alone.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    path = arm_path(name_or_path)
+    file = _display_name(path)
+    buses = parse(_read(path, file), file)[1].get("bus")
+    return [str(bus.get("name")) for bus in buses if isinstance(bus, Mapping)] if isinstance(buses, list) else []

@@ -110,20 +110,30 @@ class VirtualArm:
         self.front_alive = True
         self.goal = 0
         self.pending: list[Callable[[], None]] = []
-        self.sim: SimulatedArm | None = None
-        if self.arm.bus.interface != "mock":
-            self.sim = SimulatedArm(
-                self.arm,
+        self.sims: list[SimulatedArm] = []
+        """What is on each bus; none with mock drives."""
+        for number, part in enumerate(self.arm.parts if self.arm.bus.interface != "mock" else ()):
+            sim = SimulatedArm(
+                part,
                 start_ns=START_NS,
-                joint_position_rad=start_rad,
-                seed=seed,
-                faults=faults,
+                joint_position_rad=None
+                if start_rad is None
+                else [start_rad[joint] for joint in self.joints_on(number)],
+                seed=seed + number,
+                faults=faults if number == 0 else (),
                 **sim_options,
             )
-            if opening is None and self.arm.bus.interface == "slcan":
-                opening = f"C\r{SLCAN_BITRATES[self.arm.bus.bitrate]}\rO\r".encode()
-            if opening:
-                self.sim.feed(START_NS, opening)
+            given = opening
+            if given is None and part.bus.interface == "slcan":
+                given = f"C\r{SLCAN_BITRATES[part.bus.bitrate]}\rO\r".encode()
+            if given:
+                sim.feed(START_NS, given)
+            self.sims.append(sim)
+        self.sim = self.sims[0] if self.sims else None
+
+    def joints_on(self, number: int) -> list[int]:
+        """Numbers of the joints whose drives are on a bus."""
+        return [joint for joint, config in enumerate(self.arm.joints) if self.arm.bus_number(config) == number]
 
     @classmethod
     def brought_up(cls, *arguments: Any, **options: Any) -> Self:
@@ -156,16 +166,20 @@ class VirtualArm:
         return self.arm.control.period_ns
 
     def listen(self, until_ns: int) -> None:
-        """Push what the adapter sends up to a time into the receive ring, each chunk with its time."""
-        assert self.sim is not None
-        from_ns = self.sim.now_ns
-        arrivals = self.sim.arrivals(until_ns + self.suspended_ns)
-        for sim_ns, together in groupby(arrivals, lambda arrival: max(arrival[0], from_ns)):
-            self.receive(sim_ns - self.suspended_ns, b"".join(part for _, part in together))
+        """Push what the adapters send up to a time into the receive rings, each chunk with its time."""
+        for number, sim in enumerate(self._listened_to()):
+            from_ns = sim.now_ns
+            arrivals = sim.arrivals(until_ns + self.suspended_ns)
+            for sim_ns, together in groupby(arrivals, lambda arrival: max(arrival[0], from_ns)):  # noqa: B023
+                self.receive(sim_ns - self.suspended_ns, b"".join(part for _, part in together), number)
 
-    def receive(self, time_ns: int, data: bytes) -> None:
-        """Push bytes that came at a time into the receive ring."""
-        by_address.push(self.loop_address, time_ns, np.frombuffer(data, np.uint8), len(data))
+    def _listened_to(self) -> list[SimulatedArm]:
+        assert self.sim is not None
+        return [self.sim, *self.sims[1:]]  # a test may have put another one in the place of the first
+
+    def receive(self, time_ns: int, data: bytes, bus: int = 0) -> None:
+        """Push bytes that came at a time into a bus' receive ring."""
+        by_address.push(self.loop_address, time_ns, np.frombuffer(data, np.uint8), len(data), bus)
 
     def suspend(self, duration_s: float) -> None:
         """The machine sleeps between two cycles: the drives live on, the loop's clock stands still."""
@@ -186,24 +200,32 @@ class VirtualArm:
             self._attend_healing(self.healing)
         if data := self.step(self.now_ns):
             self.write(data)
+        for number in range(1, len(self.sims)):
+            if data := self.for_the_wire(number):
+                self.write(data, number)
 
     def step(self, now_ns: int) -> bytes:
-        """Run the cycle that is planned for a time: the bytes that it leaves for the wire."""
-        count = by_address.step(self.loop_address, self.state.address, now_ns)
-        sent: bytes = self.loop[0]["buses"][0]["outgoing"]["bytes"][:count].tobytes()
-        return sent
+        """Run the cycle that is planned for a time: the bytes that it leaves for the first wire."""
+        by_address.step(self.loop_address, self.state.address, now_ns)
+        return self.for_the_wire(0)
 
-    def write(self, data: bytes) -> None:
+    def for_the_wire(self, number: int) -> bytes:
+        """The bytes that wait for a bus' wire."""
+        outgoing = self.loop[0]["buses"][number]["outgoing"]
+        waits: bytes = outgoing["bytes"][: int(outgoing["length"])].tobytes()
+        return waits
+
+    def write(self, data: bytes, bus: int = 0) -> None:
         """Hand the cycle's bytes to the wire, as `rtloop.process.run` does with one write."""
-        self.taken(len(data))
+        self.taken(len(data), bus)
         self.sent.append((self.now_ns, data))
         if self.sim is not None:
             at = self.now_ns + int(self.random.integers(0, self.jitter_ns + 1))
-            self.sim.feed(at + self.suspended_ns, data)
+            self._listened_to()[bus].feed(at + self.suspended_ns, data)
 
-    def taken(self, count: int) -> None:
+    def taken(self, count: int, bus: int = 0) -> None:
         """The wire has taken so many bytes of the cycle's."""
-        by_address.took(self.loop_address, self.state.address, count)
+        by_address.took(self.loop_address, self.state.address, count, bus)
 
     @property
     def running(self) -> np.void:

@@ -15,8 +15,8 @@ from config.schema import ArmConfig, LimitsConfig, TrajectoryConfig
 from rtloop.process.initial_state import new_loop
 
 BOUND_BY_OTHERS = {
-    "bus.bitrate": "the rates that the adapter, or classic CAN, has",
-    "bus.serial_baud": "the speeds that serial lines have",
+    "buses[].bitrate": "the rates that the adapter, or classic CAN, has",
+    "buses[].serial_baud": "the speeds that serial lines have",
     "homing.then.joints_deg[]": "the joint's own range",
     "parking.joints_deg[]": "the joint's own range",
     "gripper.closed_deg": "the gripper's own range",

@@ -126,7 +126,7 @@ def put_noise(loop: Loop, out: np.ndarray, at: int) -> int:
     elif kind == 2:
         at = put_byte(out, at, BEL)
     else:
-        pieces = _SLCAN_TEMPLATES if loop.params.wire == WIRE_SLCAN else len(_LENGTHS)
+        pieces = _SLCAN_TEMPLATES if loop.buses[0].interface == WIRE_SLCAN else len(_LENGTHS)
         piece = int(np.random.randint(0, pieces))
         for i in range(_LENGTHS[piece]):
             at = put_byte(out, at, _PIECES[piece, i])

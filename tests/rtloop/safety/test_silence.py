@@ -128,7 +128,7 @@ def reader_late() -> VirtualArm:
 
 def simulated() -> VirtualArm:
     arm = Frozen.amid("large")
-    arm.loop[0]["params"]["simulated"] = 1
+    arm.loop[0]["buses"][0]["simulated"] = 1
     arm.frozen = True
     return latched(arm)
 
@@ -221,7 +221,7 @@ def test_the_evidence_moves_nothing() -> None:
     for evidence in (False, True):
         arm = Frozen.amid("large")
         if evidence:
-            arm.loop[0]["params"]["simulated"] = 1
+            arm.loop[0]["buses"][0]["simulated"] = 1
             received.awake(arm.loop[0]["buses"][0], arm.now_ns)
         arm.frozen = True
         latched(arm)

@@ -1,0 +1,30 @@
+"""Arms that come with rtarm, divided among two buses on which the same identifiers mean other joints."""
+
+from typing import Any
+
+from config.loader import load_arm
+from config.schema import ArmConfig
+
+NAMES = ("shoulder", "wrist")
+
+
+def divided_values(name: str, bus: dict[str, Any] | None = None) -> dict[str, Any]:
+    """What the arm's file says, its last three joints on a bus of their own with the first three's identifiers."""
+    arm = load_arm(name)
+    values = arm.model_dump(mode="json", exclude_unset=True)
+    shared = {key: value for key, value in values["bus"].items() if key not in ("channel", "usb_index")} | (bus or {})
+    values["bus"] = [{**shared, "name": of, "channel": f"/dev/tty{of}"} for of in NAMES]
+    joints = values["joints"]
+    for joint in joints[:3]:
+        joint["bus"] = NAMES[0]
+    for joint, twin in zip(joints[3:], arm.joints[:3], strict=True):
+        joint["bus"] = NAMES[1]
+        given = twin.drive.model_dump(mode="json", exclude_unset=True)
+        identifiers = {twin.drive.number_field, *(used.field for used in twin.drive.identifiers if used.field)}
+        joint["drive"] |= {field: given[field] for field in identifiers if field in given}
+    return values
+
+
+def divided(name: str, bus: dict[str, Any] | None = None) -> ArmConfig:
+    """The arm, checked."""
+    return ArmConfig.model_validate(divided_values(name, bus))
