@@ -103,6 +103,8 @@ class VirtualArm:
         self.random = np.random.default_rng(seed)
         self.jitter_ns = jitter_ns
         self.sent: list[tuple[int, bytes]] = []
+        """What the wires took, and when; `sent_on` bus by bus."""
+        self.sent_on: list[list[tuple[int, bytes]]] = [[] for _ in self.arm.buses]
         self.told: list[str] = []
         self.lost: dict[int, Unreferenced | None] = {}
         self.marks = Marks()
@@ -219,6 +221,7 @@ class VirtualArm:
         """Hand the cycle's bytes to the wire, as `rtloop.process.run` does with one write."""
         self.taken(len(data), bus)
         self.sent.append((self.now_ns, data))
+        self.sent_on[bus].append((self.now_ns, data))
         if self.sim is not None:
             at = self.now_ns + int(self.random.integers(0, self.jitter_ns + 1))
             self._listened_to()[bus].feed(at + self.suspended_ns, data)
