@@ -170,7 +170,7 @@ def judge_bytes(loop: Loop, count: int, verdict: np.ndarray) -> int:
     at, first = 0, 0
     while at < count:
         at, frame_id, data = read_frame(loop, at, count)
-        joint = whose(loop, frame_id, EXTENDED) if at > 0 else -1
+        joint = whose(loop, 0, frame_id, EXTENDED) if at > 0 else -1
         if joint < 0:
             return BAD_LINE
         if data & 255 == 0xFD:

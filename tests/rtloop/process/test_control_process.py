@@ -387,7 +387,7 @@ def test_an_end_amid_the_bring_up_keeps_where_the_joints_stood_before(deaf_arm, 
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     channel = tmp_path / "tty"
     channel.symlink_to(deaf_arm.bus.channel)  # of a pseudo-terminal's own name nothing is kept
-    arm = deaf_arm.model_copy(update={"bus": deaf_arm.bus.model_copy(update={"channel": str(channel)})})
+    arm = deaf_arm.on_every_bus(channel=str(channel))
     reference_store.save(arm, {0: 7})
     stop_asked = StopAsked([])
     stop_asked.yes = True

@@ -44,8 +44,7 @@ class Served:
         self.sim = SimulatedArm(self.arm, start_ns=time.monotonic_ns(), **wire.options)
         self._ends = contextlib.ExitStack()
         self._server = self._ends.enter_context(serving(PtyServer(self.sim)))
-        bus_of_its_own = self.arm.bus.model_copy(update={"channel": self._server.tty_path})
-        self.arm = self.arm.model_copy(update={"bus": bus_of_its_own})
+        self.arm = self.arm.on_every_bus(channel=self._server.tty_path)
 
     def left_behind(self, data: bytes) -> None:
         """A predecessor writes and is killed."""
