@@ -13,6 +13,7 @@ from written_arm import JOINTS, PERIOD_NS
 from rtarm.recording import mcap_writer
 from rtarm.recording.mcap_format import Loaded, Reason
 from shm import layout
+from shm.files import Bus
 from shm.recording import Recording, record_dtype
 from shm.words import Event, Fault, Mode
 
@@ -35,7 +36,7 @@ def loaded() -> Loaded:
         arm_hash=7,
         pid=1,
         period_ns=PERIOD_NS,
-        bitrate=500_000,
+        buses=(Bus("", 500_000),),
         records=records,
         frames=np.zeros(0, layout.BusFrame.dtype),
         events=events,

@@ -24,7 +24,7 @@ class WrittenArm:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        identity = files.Identity(name, JOINTS, arm_hash=7, period_ns=PERIOD_NS, bitrate=500_000)
+        identity = files.Identity(name, JOINTS, arm_hash=7, period_ns=PERIOD_NS, buses=(files.Bus("", 500_000),))
         self.files = files.create(identity)
         self.state = self.files.state.record
         self.command = self.files.command.record
