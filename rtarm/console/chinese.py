@@ -109,6 +109,7 @@ WHY_LATE = {
 SENTENCES = {
     # --- words and figures
     ", ": "，",
+    "; ": "；",
     ", or ": "；或者 ",
     "{one} {other}": "{one}{other}",
     "{cause}.": "{cause}。",

@@ -156,7 +156,7 @@ class Growing:
         for name, values in _metadata(first, reason).items():
             self._writer.add_metadata(name, values)
         self._channels = {}
-        for name, schema_name, schema in _schemas(first.joints):
+        for name, schema_name, schema in _schemas(first.joints, several_buses=len(first.buses) > 1):
             schema_id = self._writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
             self._channels[name] = self._writer.register_channel(name, JSON, schema_id)
         self._seconds = Seconds(first.bitrate)
@@ -250,7 +250,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _schemas(joints: Sequence[str], *, several_buses: bool) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Name of each channel, name of its schema, and the schema."""
     units = layout.CycleRecord.words | layout.Joint.words
 
@@ -293,7 +293,7 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
     frame = {
         "monotonic_ns": integer,
         "sent": {"type": "boolean", "description": "whether the control process sent it; it came otherwise"},
-        "bus": {"type": "string", "description": "name of the bus it was on, where the arm has several"},
+        **({"bus": {**text, "description": "name of the bus it was on"}} if several_buses else {}),
         "joint": {"type": ["string", "null"], "description": "whose drive hears or says its identifier"},
         "id": integer,
         "extended": {"type": "boolean"},
