@@ -6,7 +6,7 @@ only while there is a subscriber. A level describes the present: a single event 
 
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,7 @@ from rosfront.verdict import fault_of
 from sentences.drive_words import HELPLESS, TROUBLE, troubles_of, words_of
 from sentences.english import NOBODY_ACKNOWLEDGES
 from sentences.told import bus_state_sentence, joint_name, mode_name, outcome_sentence, unreferenced_sentence
+from shm import files
 from shm.errors import TornRead
 from shm.histogram import percentiles_ns
 from shm.layout import BUS_TROUBLE
@@ -85,7 +86,8 @@ class Diagnostics:
         self._counts = counts
         self._publisher = publisher
         self._late_s = max(arm.limits.stale_brake_s, 3 * arm.control.period_ns / NS)
-        self._before: dict[str, int] = {}
+        self._before: Mapping[str, int] = {}
+        self._buses_before: Sequence[Mapping[str, int]] = ()
         self._before_ns = 0
         self._refused_before = 0
 
@@ -136,7 +138,7 @@ class Diagnostics:
         if age_ns > STALLED_NS:
             level, message = ERROR, hung(self._arm.name, age_ns)
         elif snapshot["fault"] != Fault.NONE:
-            level, message = ERROR, fault_of(snapshot, self._serving.joints)
+            level, message = ERROR, fault_of(snapshot, self._serving.names)
         elif self._serving.other_server:
             level, message = ERROR, self._serving.other_server
         elif mode in _TOLD_BY_MODE:
@@ -158,36 +160,69 @@ class Diagnostics:
     def _of_counters(self, record: np.void) -> Iterable[Any]:
         """Bus and cycle: totals, and levels from what has changed since the previous report."""
         now_ns = time.monotonic_ns()
-        counters = record["counters"]
-        now = {name: int(counters[name]) for name in counters.dtype.names if name != "padding"}
+        header, counters = record["header"], record["counters"]
+        now = _counts(counters)
         if now["cycles"] < self._before.get("cycles", 0):  # another control process
-            self._before = {}
-        before_ns = self._before_ns if self._before else int(record["header"]["start_monotonic_ns"])
+            self._before, self._buses_before = {}, ()
+        before_ns = self._before_ns if self._before else int(header["start_monotonic_ns"])
         elapsed_s = max(now_ns - before_ns, 1) / NS
-        grown = {name: value - self._before.get(name, 0) for name, value in now.items()}
+        grown = _grown(now, self._before)
         self._before, self._before_ns = now, now_ns
-        yield self._bus(now, grown, elapsed_s, int(record["header"]["bitrate"]))
+        yield from self._buses(header, record["buses"], now, grown, elapsed_s)
         yield self._cycle(record, now, grown)
 
-    def _bus(self, now: Mapping[str, int], grown: Mapping[str, int], elapsed_s: float, bitrate: int) -> Any:
+    def _buses(
+        self, header: np.void, rows: np.ndarray, now: Mapping[str, int], grown: Mapping[str, int], elapsed_s: float
+    ) -> Iterable[Any]:
+        """All buses together, as busy as the busiest and named after the worst; then each, where there are several."""
+        buses = files.buses(header)
+        if len(buses) < 2:
+            loads = [grown["bits_on_bus"] / (bus.bitrate * elapsed_s) for bus in buses]
+            yield self._bus("bus", now, grown, elapsed_s, max(loads, default=None))
+            return
+        of_each = [_counts(row) for row in rows[: len(buses)]]
+        grown_there = [
+            _grown(counts, before)
+            for counts, before in zip(of_each, self._buses_before or [{}] * len(buses), strict=True)
+        ]
+        self._buses_before = of_each
+        loads = [
+            counts["bits_on_bus"] / (bus.bitrate * elapsed_s) for bus, counts in zip(buses, grown_there, strict=True)
+        ]
+        worst = max(range(len(buses)), key=lambda number: of_each[number]["bus_state"])
+        yield self._bus("bus", now, grown, elapsed_s, max(loads), buses[worst].name)
+        for bus, counts, risen, load in zip(buses, of_each, grown_there, loads, strict=True):
+            yield self._bus(f"bus {bus.name}", counts, risen, elapsed_s, load, bus.name)
+
+    def _bus(
+        self,
+        part: str,
+        now: Mapping[str, int],
+        grown: Mapping[str, int],
+        elapsed_s: float,
+        share: float | None,
+        bus: str = "",
+    ) -> Any:
+        """What was counted, the `share` of the bits in use (None without a bus); `bus` is named if it is in doubt."""
         values: dict[str, object] = {}
         load = "no bus"
-        if bitrate:
-            load = f"load {grown['bits_on_bus'] / (bitrate * elapsed_s):.1%}"
+        if share is not None:
+            load = f"load {share:.1%}"
             values["load"] = load.removeprefix("load ")
             values["frames sent per second"] = f"{grown['frames_sent'] / elapsed_s:.0f}"
             values["frames received per second"] = f"{grown['frames_received'] / elapsed_s:.0f}"
-        for name in ("frames_sent", "frames_received", *BUS_TROUBLE):
+        troubles = [name for name in BUS_TROUBLE if name in now]
+        for name in ("frames_sent", "frames_received", *troubles):
             values[name.replace("_", " ")] = now[name]
         values["bus state"] = _word(BusState, now["bus_state"])
         if now["bus_state"] in (BusState.PASSIVE, BusState.BUS_OFF):
-            return self._status("bus", ERROR, bus_state_sentence(now["bus_state"]), values)
+            return self._status(part, ERROR, bus_state_sentence(now["bus_state"], bus=bus), values)
         if grown["unacknowledged"]:
-            return self._status("bus", WARN, NOBODY_ACKNOWLEDGES.sentence, values)
-        trouble = [f"{grown[name]} {name.replace('_', ' ')}" for name in BUS_TROUBLE if grown[name]]
+            return self._status(part, WARN, NOBODY_ACKNOWLEDGES.sentence, values)
+        trouble = [f"{grown[name]} {name.replace('_', ' ')}" for name in troubles if grown[name]]
         if trouble:
-            return self._status("bus", WARN, f"In the last {elapsed_s:.1f} s: {', '.join(trouble)}; {load}.", values)
-        return self._status("bus", OK, load, values)
+            return self._status(part, WARN, f"In the last {elapsed_s:.1f} s: {', '.join(trouble)}; {load}.", values)
+        return self._status(part, OK, load, values)
 
     def _cycle(self, record: np.void, now: Mapping[str, int], grown: Mapping[str, int]) -> Any:
         rate_hz = NS / int(record["header"]["period_ns"])
@@ -261,6 +296,15 @@ class Diagnostics:
             message = f"{refused} trajectory messages refused since the last report: the log says why."
             return self._status("front", WARN, message, {**counts, **values})
         return self._status("front", OK, "serving", {**counts, **values})
+
+
+def _counts(counted: np.void) -> dict[str, int]:
+    return {name: int(counted[name]) for name in counted.dtype.names or () if name != "padding"}
+
+
+def _grown(now: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
+    """By how much counters have risen since a report."""
+    return {name: value - before.get(name, 0) for name, value in now.items()}
 
 
 def _word(kind: Any, number: int) -> str:

@@ -7,7 +7,7 @@ serves other clients. This needs a reentrant callback group: in the node's defau
 behind a hold that is not answered yet.
 """
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ from config.stopping import Patience
 from rosfront.plan import NS
 from rosfront.refusals import GoalRefused
 from rosfront.serving import Serving
-from rosfront.verdict import fault_of
+from rosfront.verdict import Names, fault_of
 from sentences.told import reasons_unreferenced, unreferenced_sentences
 from shm.client import CommandWriter
 from shm.snapshot import Snapshot
@@ -53,46 +53,46 @@ class Order:
     name: str
     ask: Request | Callable[[CommandWriter], None]
     patience_s: float
-    judge: Callable[[Snapshot | None, Sequence[str]], Judge]
-    """Makes the judge from the last snapshot before the request and the joints' names."""
-    answer_now: Callable[[Snapshot, Sequence[str]], Reply | None] = lambda before, joints: None
+    judge: Callable[[Snapshot | None, Names], Judge]
+    """Makes the judge from the last snapshot before the request and the names of joints and buses."""
+    answer_now: Callable[[Snapshot, Names], Reply | None] = lambda before, names: None
     """The reply when there is nothing to ask the control process for; else None."""
 
 
-def _fault(snapshot: Snapshot, joints: Sequence[str]) -> Reply | None:
-    return Reply(False, fault_of(snapshot, joints)) if snapshot["mode"] == Mode.FAULT else None
+def _fault(snapshot: Snapshot, names: Names) -> Reply | None:
+    return Reply(False, fault_of(snapshot, names)) if snapshot["mode"] == Mode.FAULT else None
 
 
-def _unreferenced(snapshot: Snapshot, joints: Sequence[str]) -> list[str]:
-    return unreferenced_sentences(reasons_unreferenced(snapshot, joints))
+def _unreferenced(snapshot: Snapshot, names: Names) -> list[str]:
+    return unreferenced_sentences(reasons_unreferenced(snapshot, names.joints))
 
 
-def _holds(snapshot: Snapshot, joints: Sequence[str], begin: str) -> Reply | None:
+def _holds(snapshot: Snapshot, names: Names, begin: str) -> Reply | None:
     doing = {Mode.HOLDING: "the arm holds where it stands", Mode.EXECUTING: "a goal is running"}
     mode = snapshot["mode"]
     if mode not in doing:
         return None
-    return Reply(True, " ".join([f"{begin}; {doing[Mode(mode)]}.", *_unreferenced(snapshot, joints)]))
+    return Reply(True, " ".join([f"{begin}; {doing[Mode(mode)]}.", *_unreferenced(snapshot, names)]))
 
 
-def _enabled(before: Snapshot | None, joints: Sequence[str]) -> Judge:
-    return lambda now: _fault(now, joints) or _holds(now, joints, "The drives are enabled")
+def _enabled(before: Snapshot | None, names: Names) -> Judge:
+    return lambda now: _fault(now, names) or _holds(now, names, "The drives are enabled")
 
 
-def _not_with_a_fault(before: Snapshot, joints: Sequence[str]) -> Reply | None:
-    fault = _fault(before, joints)
+def _not_with_a_fault(before: Snapshot, names: Names) -> Reply | None:
+    fault = _fault(before, names)
     if fault is None:
         return None
     return Reply(False, f"A fault is latched; clear it first, which enables the drives too. {fault.message}")
 
 
-def _cleared(before: Snapshot | None, joints: Sequence[str]) -> Judge:
+def _cleared(before: Snapshot | None, names: Names) -> Judge:
     latched_ns = None if before is None else before["fault_ns"]
 
     def judge(now: Snapshot) -> Reply | None:
-        again = _fault(now, joints)
+        again = _fault(now, names)
         if again is None:
-            return _holds(now, joints, "The fault is cleared")
+            return _holds(now, names, "The fault is cleared")
         if now["fault_ns"] == latched_ns:
             return None  # bring-up has not begun yet
         return Reply(False, f"The fault was cleared and came back. {again.message}")
@@ -100,26 +100,26 @@ def _cleared(before: Snapshot | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-def _nothing_to_clear(before: Snapshot, joints: Sequence[str]) -> Reply | None:
+def _nothing_to_clear(before: Snapshot, names: Names) -> Reply | None:
     if before["fault"] != Fault.NONE:
         return None
     return Reply(True, "No fault is latched, so there is nothing to clear.")
 
 
-def _limp(mode: Mode, words: str) -> Callable[[Snapshot | None, Sequence[str]], Judge]:
-    def judge_of(before: Snapshot | None, joints: Sequence[str]) -> Judge:
+def _limp(mode: Mode, words: str) -> Callable[[Snapshot | None, Names], Judge]:
+    def judge_of(before: Snapshot | None, names: Names) -> Judge:
         def judge(now: Snapshot) -> Reply | None:
-            limp = not np.any(now["joints"]["drive_status"][: len(joints)] & DriveStatus.ENABLED)
-            return _fault(now, joints) or (Reply(True, words) if limp and now["mode"] == mode else None)
+            limp = not np.any(now["joints"]["drive_status"][: len(names.joints)] & DriveStatus.ENABLED)
+            return _fault(now, names) or (Reply(True, words) if limp and now["mode"] == mode else None)
 
         return judge
 
     return judge_of
 
 
-def _held(before: Snapshot | None, joints: Sequence[str]) -> Judge:
+def _held(before: Snapshot | None, names: Names) -> Judge:
     def judge(now: Snapshot) -> Reply | None:
-        fault = _fault(now, joints)
+        fault = _fault(now, names)
         if fault is not None:
             return fault
         if not now["held"] or _moves(now):
@@ -138,23 +138,23 @@ def _moves(snapshot: Snapshot) -> bool:
     return referencing or bool(np.any(snapshot["joints"]["commanded_velocity_rad_s"]))
 
 
-def _homed(before: Snapshot | None, joints: Sequence[str]) -> Judge:
+def _homed(before: Snapshot | None, names: Names) -> Judge:
     def judge(now: Snapshot) -> Reply | None:
-        fault = _fault(now, joints)
+        fault = _fault(now, names)
         if fault is not None or now["mode"] == Mode.REFERENCING:
             return fault
-        lost = _unreferenced(now, joints)
+        lost = _unreferenced(now, names)
         return Reply(not lost, " ".join(lost) or "Homed; the arm holds where it stands.")
 
     return judge
 
 
-def _stopped(before: Snapshot | None, joints: Sequence[str]) -> Judge:
+def _stopped(before: Snapshot | None, names: Names) -> Judge:
     stops = 0 if before is None else before["stops"]
 
     def judge(now: Snapshot) -> Reply | None:
         if now["fault"] == Fault.HOMING:  # a drive in its homing run may still be moving
-            return _fault(now, joints)
+            return _fault(now, names)
         if now["stops"] == stops or _moves(now) or now["goal_id"] != 0:
             return None
         return Reply(True, "The arm stands and takes no goals before ~/resume.")
@@ -162,7 +162,7 @@ def _stopped(before: Snapshot | None, joints: Sequence[str]) -> Judge:
     return judge
 
 
-def _resumed(before: Snapshot | None, joints: Sequence[str]) -> Judge:
+def _resumed(before: Snapshot | None, names: Names) -> Judge:
     paused = before is not None and before["goal_phase"] == Phase.PAUSED
     goal = before["goal_id"] if before is not None and paused else 0
 
@@ -239,11 +239,11 @@ class Services:
         return handle
 
     async def _ask(self, order: Order) -> Reply:
-        before, joints = self._serving.newest(), self._serving.joints
-        known = None if before is None else order.answer_now(before, joints)
+        before, names = self._serving.newest(), self._serving.names
+        known = None if before is None else order.answer_now(before, names)
         if known is not None:
             return known
-        judge = order.judge(before, joints)
+        judge = order.judge(before, names)
         decided: list[Reply] = []
 
         def until(snapshot: Snapshot) -> bool:

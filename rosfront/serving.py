@@ -23,7 +23,7 @@ from rosfront.plan import NS, GoalPlan, Present, Sample
 from rosfront.refusals import INVALID_GOAL, NotServing, Overtaken
 from rosfront.settings import Settings
 from rosfront.streamer import Streamer, horizon_s
-from rosfront.verdict import Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
+from rosfront.verdict import Names, Status, Verdict, aborted, fault_of, final_error, judge, with_final_error
 from sentences.told import answer_sentence, outcome_sentence, reasons_unreferenced, unreferenced_sentences
 from shm.client import GOALS_AHEAD, CommandWriter
 from shm.errors import RingFull, TornRead
@@ -93,6 +93,7 @@ class Serving:
     def __init__(self, arm: ArmConfig) -> None:
         self.arm = arm
         self.joints = [joint.name for joint in arm.joints]
+        self.names = Names(self.joints, [bus.name or "" for bus in arm.buses] if len(arm.buses) > 1 else [])
         self._lock = threading.Lock()
         self._link: Link | None = None
         self._absence = f"The control process of arm '{arm.name}' is not running: start it with {_start_command(arm)}."
@@ -211,7 +212,7 @@ class Serving:
                 snapshot,
                 execution.target_rad,
                 execution.plan.joint_mask,
-                self.joints,
+                self.names,
             )
         # A goal replaced before the loop saw its BEGIN gets no result of its own.
         if running > goal_id or (running != goal_id and _newest_decided(snapshot) > goal_id):
@@ -226,7 +227,7 @@ class Serving:
         execution.fault_since_ns = execution.fault_since_ns or now_ns
         if now_ns - execution.fault_since_ns < FAULT_PATIENCE_NS:
             return None
-        return aborted(fault_of(snapshot, self.joints))
+        return aborted(fault_of(snapshot, self.names))
 
     # --- from any other thread ---
 
@@ -245,7 +246,7 @@ class Serving:
             raise NotServing(hung(self.arm.name, age_ns))
         mode = snapshot["mode"]
         if mode == Mode.FAULT:
-            raise NotServing(fault_of(snapshot, self.joints))
+            raise NotServing(fault_of(snapshot, self.names))
         if mode not in _TAKES_GOALS:
             raise NotServing(outcome_sentence(Outcome.REFUSED_MODE, value=float(mode)))
         if snapshot["held"]:

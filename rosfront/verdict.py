@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,13 @@ class Status(Enum):
     SUCCEEDED = 1
     CANCELED = 2
     ABORTED = 3
+
+
+class Names(NamedTuple):
+    """What sentences call the parts of an arm: its joints, and its buses where it has several."""
+
+    joints: Sequence[str]
+    buses: Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -79,9 +87,9 @@ def final_error(snapshot: Snapshot, target_rad: np.ndarray, joint_mask: int, joi
     return f"{joints[worst]} is {errors[worst]:.4f} rad from its target"
 
 
-def fault_of(snapshot: Snapshot, joints: Sequence[str]) -> str:
+def fault_of(snapshot: Snapshot, names: Names) -> str:
     """The sentence of the latched fault."""
-    return latched_sentence(snapshot, joints)
+    return latched_sentence(snapshot, names.joints, buses=names.buses)
 
 
 def judge(
@@ -92,16 +100,16 @@ def judge(
     snapshot: Snapshot,
     target_rad: np.ndarray,
     joint_mask: int,
-    joints: Sequence[str],
+    names: Names,
 ) -> Verdict:
     """The verdict on a goal from its result (`outcome`, `joint`, `value`, `limit`) in the snapshot."""
     if outcome == Outcome.FAULT and snapshot["fault"] != Fault.NONE:
-        sentence = fault_of(snapshot, joints)
+        sentence = fault_of(snapshot, names)
     else:
-        sentence = outcome_sentence(outcome, joint_name(joint, joints), value, limit)
+        sentence = outcome_sentence(outcome, joint_name(joint, names.joints), value, limit)
     known = Outcome(outcome) if outcome in set(Outcome) else Outcome.NONE
     status, code = _STATUS.get(known, Status.ABORTED), _CODES.get(known, refusals.INVALID_GOAL)
     verdict = Verdict(status, code, sentence, known)
     if known in _TOLD or known in _NOT_BEGUN:
         return verdict
-    return with_final_error(verdict, final_error(snapshot, target_rad, joint_mask, joints))
+    return with_final_error(verdict, final_error(snapshot, target_rad, joint_mask, names.joints))

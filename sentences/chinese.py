@@ -480,6 +480,7 @@ PHRASES = _Phrases(
     so="，因此",
     healed="所有驱动器沉默了片刻；每个都没有断过电，也停在允许的位置，所以机械臂自己重新保持，接受下一个目标。数据流要等 `rtarm resume`。",
     wire_is_back="适配器已回来：`rtarm clear-fault` 会重新启动驱动器。",
+    of_bus="总线 {bus}：{sentence}",
     asked={Request.STOP: "停止", Request.HOLD: "暂停", Request.RESUME: "继续"},
     asked_by="进程 {process:.0f} 请求{what}。",
     speed_asked="请求速度比例 {scale:.0%}。",

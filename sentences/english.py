@@ -570,6 +570,7 @@ PHRASES = Phrases(
     so=", so ",
     healed=HEALED,
     wire_is_back=WIRE_IS_BACK,
+    of_bus="Bus {bus}: {sentence}",
     asked={Request.STOP: "Stop", Request.HOLD: "Hold", Request.RESUME: "Resume"},
     asked_by="{what} was asked for by process {process:.0f}.",
     speed_asked="Speed scale {scale:.0%} was asked for.",

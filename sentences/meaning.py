@@ -55,6 +55,8 @@ class Phrases(NamedTuple):
     """Between what has happened to a joint's count and what follows from it."""
     healed: str
     wire_is_back: str
+    of_bus: str
+    """A sentence about one of several buses."""
     asked: Mapping[Request, str]
     asked_by: str
     speed_asked: str

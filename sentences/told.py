@@ -142,12 +142,15 @@ _SPEAKS_FOR = (
 )
 
 
-def latched_sentence(cycle: Any, joints: Sequence[str], language: Language = "en") -> str:
-    """What the latched fault says of a snapshot, or of the flight recorder's record of a cycle."""
+def latched_sentence(cycle: Any, joints: Sequence[str], language: Language = "en", buses: Sequence[str] = ()) -> str:
+    """What the latched fault says of a snapshot, or of the flight recorder's record of a cycle.
+
+    `buses` are the names of the arm's buses, where it has several.
+    """
     number, joint = int(cycle["fault"]), int(cycle["fault_joint"])
     value, limit = float(cycle["fault_value"]), float(cycle["fault_limit"])
     silent, evidence = int(cycle["fault_silent"]), int(cycle["fault_evidence"])
-    return fault_told(number, joint, value, limit, silent, evidence, joints, language)
+    return fault_told(number, joint, value, limit, silent, evidence, joints, language, buses)
 
 
 def fault_told(
@@ -159,18 +162,33 @@ def fault_told(
     evidence: int,
     joints: Sequence[str],
     language: Language = "en",
+    buses: Sequence[str] = (),
 ) -> str:
-    """What a fault says by all that is known of it, whoever tells it."""
+    """What a fault says by all that is known of it, whoever tells it.
+
+    `buses` are the names of the arm's buses, where it has several: one of a wire then names its bus.
+    """
     whose = whose_silence(joint, silent, evidence) if fault == Fault.STALE_READING else None
     if whose is None:
-        return fault_sentence(fault, joint_name(joint, joints, language), value, limit, language)
+        sentence = fault_sentence(fault, joint_name(joint, joints, language), value, limit, language)
+        return of_bus(sentence, buses[int(limit)], language) if is_of_wire(fault, limit, buses) else sentence
     named = joint_names([name for number, name in enumerate(joints) if silent >> number & 1], language)
     return _filled(meaning(whose, language), language, named, value, limit)
 
 
-def bus_state_sentence(state: int, language: Language = "en") -> str:
-    """What the CAN controller thinks of its bus."""
-    return _say(BusState, state, language)
+def is_of_wire(fault: int, limit: float, buses: Sequence[str]) -> bool:
+    """Whether a fault is one of a wire, and its limit the number of a bus that has a name."""
+    return fault in (Fault.WIRE, Fault.LINK_DOWN, Fault.BUS_OFF) and 0 <= limit < len(buses)
+
+
+def of_bus(sentence: str, bus: str, language: Language = "en") -> str:
+    """A sentence about one of several buses, by its name; "" for the only one."""
+    return PHRASES[language].of_bus.format(bus=bus, sentence=sentence) if bus else sentence
+
+
+def bus_state_sentence(state: int, language: Language = "en", bus: str = "") -> str:
+    """What the CAN controller thinks of its bus, which is named where the arm has several."""
+    return of_bus(_say(BusState, state, language), bus, language)
 
 
 def unreferenced_sentence(reason: int, joint: str, language: Language = "en") -> str:

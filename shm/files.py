@@ -54,6 +54,13 @@ def command_path(arm: str) -> Path:
     return DIRECTORY / f"rtarm.{arm}.command"
 
 
+class Bus(NamedTuple):
+    """What people call a bus, and its bit rate (bit/s)."""
+
+    name: str
+    bitrate: int
+
+
 @dataclass(frozen=True)
 class Identity:
     """What the headers say about an arm and its configuration."""
@@ -62,8 +69,7 @@ class Identity:
     joints: tuple[str, ...]
     arm_hash: int
     period_ns: int
-    bitrate: int = 0
-    """Of the bus (bit/s), 0 where there is none."""
+    buses: tuple[Bus, ...] = ()
     arm_file: str = ""
     """What a person starts it with: the name of an arm that comes with rtarm, or the absolute path of its file."""
     arm_file_hash: int = 0
@@ -179,6 +185,39 @@ def joint_names(header: np.void) -> tuple[str, ...]:
     return tuple(slots[at : at + layout.NAME_BYTES].rstrip(b"\0").decode() for at in starts)
 
 
+def write_buses(header: np.void, buses: Sequence[Bus]) -> None:
+    """Write into a header what buses the arm has."""
+    header["bitrates"][: len(buses)] = [bus.bitrate for bus in buses]
+    header["bus_names"] = name_bytes([bus.name for bus in buses], layout.MAX_BUSES)
+
+
+def buses(header: np.void) -> tuple[Bus, ...]:
+    """The arm's buses from a header, in configuration order; none where there is no bus."""
+    slots = bytes(header["bus_names"])
+    names = (
+        slots[at : at + layout.NAME_BYTES].rstrip(b"\0").decode() for at in range(0, len(slots), layout.NAME_BYTES)
+    )
+    return tuple(
+        Bus(name, bitrate) for name, bitrate in zip(names, header["bitrates"].tolist(), strict=True) if bitrate
+    )
+
+
+def several_names(buses: Sequence[Bus]) -> tuple[str, ...]:
+    """The buses' names for sentences, which name none where there is only one."""
+    return tuple(bus.name for bus in buses) if len(buses) > 1 else ()
+
+
+def bus_names(header: np.void) -> tuple[str, ...]:
+    """The same, of the buses of a header."""
+    return several_names(buses(header))
+
+
+def rings(header: np.void) -> layout.Rings:
+    """The flight recorder's rings in a state file with this header."""
+    joints, period_ns = int(header["joint_count"]), int(header["period_ns"])
+    return layout.rings(joints, period_ns, *header["bitrates"].tolist())
+
+
 def _map(path: Path, fd: int, record: type[Record], size: int, *, writable: bool) -> MemoryFile:
     protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
     mapped = mmap.mmap(fd, size, mmap.MAP_SHARED, protection)
@@ -263,7 +302,7 @@ def _build_aside(path: Path, record: type[Record], size: int, identity: Identity
     header["start_monotonic_ns"] = time.monotonic_ns()
     header["start_epoch_ns"] = time.time_ns()
     header["period_ns"] = identity.period_ns
-    header["bitrate"] = identity.bitrate
+    write_buses(header, identity.buses)
     header["arm_file_hash"] = identity.arm_file_hash
     header["options"] = identity.options
     header["arm_file"] = _path_bytes(identity.arm_file)
@@ -369,7 +408,7 @@ def create(identity: Identity) -> LoopFiles:
 
     Raises AlreadyHeld when another control process drives this arm.
     """
-    rings = layout.rings(len(identity.joints), identity.period_ns, identity.bitrate)
+    rings = layout.rings(len(identity.joints), identity.period_ns, *(bus.bitrate for bus in identity.buses))
     state = _build_aside(state_path(identity.arm), layout.StateFile, rings.file_bytes, identity)
     command = None
     try:
@@ -439,11 +478,10 @@ def _require_hash(arm: str, found: int, wanted: int | None) -> None:
 
 def _size_said(header: np.void, record: type[Record]) -> int:
     """How large a file with this header must be; -1 when the header cannot be right."""
-    joints, period_ns, bitrate = (int(header[name]) for name in ("joint_count", "period_ns", "bitrate"))
-    if not 0 < joints <= layout.MAX_JOINTS or period_ns <= 0:
+    if not 0 < int(header["joint_count"]) <= layout.MAX_JOINTS or int(header["period_ns"]) <= 0:
         return -1
     if record is layout.StateFile:
-        return layout.rings(joints, period_ns, bitrate).file_bytes
+        return rings(header).file_bytes
     return record.dtype.itemsize
 
 

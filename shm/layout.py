@@ -22,6 +22,7 @@ import numpy as np
 from shm.record import Bytes, Floats, Ints, Record, Rows, offset_of
 
 MAX_JOINTS = 32
+MAX_BUSES = 4
 NAME_BYTES = 64
 PATH_BYTES = 4096
 LINE_BYTES = 128
@@ -67,10 +68,11 @@ class Header(Table):
     joint_count: Annotated[int, "joints in use"]
     arm_name: Annotated[Bytes, NAME_BYTES, "name of the arm, UTF-8"]
     joint_names: Annotated[Bytes, MAX_JOINTS * NAME_BYTES, "names of the joints in configuration order"]
-    bitrate: Annotated[int, "bit/s", "bit rate of the bus, 0 where there is none"]
+    bitrates: Annotated[Ints, MAX_BUSES, "bit/s", "bit rate of each bus, 0 where there is none"]
+    bus_names: Annotated[Bytes, MAX_BUSES * NAME_BYTES, "names of the buses, empty where they have none"]
     arm_file_hash: Annotated[int, "hash of what the arm file says, without options"]
     options: Annotated[int, "1 where options change what the arm file says"]
-    padding: Annotated[Ints, 13]
+    padding: Annotated[Ints, 10]
     arm_file: Annotated[
         Bytes,
         PATH_BYTES,
@@ -136,7 +138,7 @@ class Changing(Record):
     fault: Annotated[int, "latched fault, shm.words.Fault; 0 none"]
     fault_joint: Annotated[int, "joint it names, -1 for none; STALE_READING: -1 for all"]
     fault_value: Annotated[float, "value that broke the limit"]
-    fault_limit: Annotated[float, "the limit"]
+    fault_limit: Annotated[float, "the limit; WIRE, LINK_DOWN, BUS_OFF: number of the bus, from 0"]
     fault_ns: Annotated[int, "ns", "CLOCK_MONOTONIC when it was latched"]
     fault_silent: Annotated[int, "STALE_READING: bit n = the drive of joint n was silent then; else 0"]
     fault_evidence: Annotated[int, "STALE_READING: shm.words.Evidence, bits; else 0"]
@@ -169,7 +171,7 @@ class Snapshot(Changing, Table):
 
 
 class Counted(Record):
-    """The counters that the flight recorder keeps with every cycle."""
+    """The counters that the flight recorder keeps with every cycle, over all buses of the arm."""
 
     overruns: Annotated[int, "cycles missed because one began or ended late; never made up"]
     frames_sent: Annotated[int, "CAN frames written"]
@@ -185,13 +187,28 @@ class Counted(Record):
     knots_taken: Annotated[int, "waypoints taken from the setpoint ring"]
     error_frames: Annotated[int, "errors that the CAN controller has told of (SocketCAN)"]
     unacknowledged: Annotated[int, "those of them in which no drive acknowledged a frame"]
-    bus_state: Annotated[int, "shm.words.BusState: what the CAN controller thinks of its bus (SocketCAN)"]
+    bus_state: Annotated[
+        int, "shm.words.BusState: what the CAN controller thinks of its bus (SocketCAN); of several, the worst"
+    ]
 
 
 class Counters(Counted, Table, line_bytes=LINE_BYTES):
     """Counters."""
 
     cycles: Annotated[int, "cycles run"]
+
+
+class BusCounters(Table, line_bytes=LINE_BYTES):
+    """Counters of a bus."""
+
+    frames_sent: Annotated[int, "CAN frames written to its wire"]
+    frames_received: Annotated[int, "CAN frames decoded that came on it"]
+    bits_on_bus: Annotated[int, "bit", "worst-case stuffed bits of both"]
+    wire_errors: Annotated[int, "BEL and garbled lines of its adapter"]
+    bytes_unsent: Annotated[int, "bytes its wire did not take in their cycle"]
+    error_frames: Annotated[int, "errors that its CAN controller has told of (SocketCAN)"]
+    unacknowledged: Annotated[int, "those of them in which no drive acknowledged a frame"]
+    bus_state: Annotated[int, "shm.words.BusState: what its CAN controller thinks of it (SocketCAN)"]
 
 
 BUS_TROUBLE = (
@@ -221,7 +238,7 @@ class Event(Table):
     monotonic_ns: Annotated[int, "ns", "CLOCK_MONOTONIC"]
     kind: Annotated[int, "shm.words.Event"]
     joint: Annotated[int, "joint it is about, -1 for none"]
-    code: Annotated[int, "mode, fault, outcome … according to the kind"]
+    code: Annotated[int, "mode, fault, outcome, bus … according to the kind"]
     value: float
     limit: float
     silent: Annotated[int, "FAULT: as the snapshot's fault_silent"]
@@ -269,6 +286,7 @@ class Identifiers(Table):
     mask: Annotated[int, "0 = there are no more rows"]
     extended: Annotated[int, "1 where they have 29 bits"]
     joint: Annotated[int, "the joint whose drive hears or says them"]
+    bus: Annotated[int, "the bus that it is on, from 0"]
 
 
 class Recorder(Table, line_bytes=LINE_BYTES):
@@ -300,7 +318,7 @@ class BusFrame(Table):
 
     check: Annotated[int, "mixed of number and the words that follow (shm.recording.frame_check)"]
     monotonic_ns: Annotated[int, "ns", "arrival of its bytes, or the cycle that sent it (CLOCK_MONOTONIC)"]
-    head: Annotated[int, "identifier, length << 32, 1 << 40 if extended, 1 << 41 if it was sent"]
+    head: Annotated[int, "identifier, length << 32, 1 << 40 if extended, 1 << 41 if sent, 1 << 42 if remote, bus << 43"]
     data: Annotated[int, "eight bytes, the first lowest"]
 
 
@@ -337,6 +355,7 @@ class StateFile(Table):
     snapshot: Snapshot
     padding: Annotated[Ints, -Snapshot.dtype.itemsize % LINE_BYTES // 8]
     counters: Counters
+    buses: Annotated[Rows[BusCounters], MAX_BUSES, "what is counted of each bus as well"]
     lateness: Annotated[Histogram, "wake-up lateness against the planned deadline"]
     cycle_time: Annotated[Histogram, "from wake-up to the end of the write"]
     events_written: Annotated[LineWord, "events ever written in its first word; slot = number % EVENT_SLOTS"]
@@ -471,14 +490,15 @@ class Rings(NamedTuple):
         return said
 
 
-def rings(joint_count: int, period_ns: int, bitrate: int) -> Rings:
+def rings(joint_count: int, period_ns: int, *bitrates: int) -> Rings:
     """The rings that keep `RECORDED_NS` of an arm's cycles, and of the frames that they send and get answered.
 
-    A cycle sends three frames to each joint and asks one of them for its status; what others say besides shortens the
-    time that the ring of frames goes back.
+    A cycle sends three frames to each joint and on each bus asks one of them for its status; what others say besides
+    shortens the time that the ring of frames goes back. `bitrates` are those of the buses, 0 where there is none.
     """
     slots = -(-RECORDED_NS // period_ns)
-    frames = slots * (4 * joint_count + 2) if bitrate > 0 else 0
+    buses = sum(bitrate > 0 for bitrate in bitrates)
+    frames = slots * (4 * joint_count + 2 * buses) if buses > 0 else 0
     return Rings(used_bytes(CycleRecord, joint_count), slots, frames)
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shm import files, layout
-from shm.files import MemoryFile
+from shm.files import Bus, MemoryFile
 from shm.record import offset_of
 from shm.words import Setpoint
 
@@ -19,6 +19,8 @@ LENGTH_SHIFT = 32
 EXTENDED = 1 << 40
 SENT = 1 << 41
 REMOTE = 1 << 42
+BUS_SHIFT = 43
+BUS_MASK = layout.MAX_BUSES - 1
 LENGTH_MASK = 15
 IDENTIFIER_MASK = 0x1FFFFFFF
 
@@ -53,6 +55,7 @@ class Recording:
 
     Attributes:
         joints: names of the joints, in configuration order.
+        buses: the arm's buses, in configuration order; none where it has no bus.
         records: one a cycle, in their order, dtype `record_dtype`.
         frames: one a CAN frame, in their order (layout.BusFrame).
         events: oldest first (layout.Event).
@@ -72,7 +75,7 @@ class Recording:
     arm_hash: int
     pid: int
     period_ns: int
-    bitrate: int
+    buses: tuple[Bus, ...]
     records: np.ndarray
     frames: np.ndarray
     events: np.ndarray
@@ -85,6 +88,16 @@ class Recording:
     requests: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.Request.dtype))
     openings: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.Begin.dtype))
     results: np.ndarray = field(default_factory=lambda: np.zeros(0, layout.Result.dtype))
+
+    @property
+    def bus_names(self) -> tuple[str, ...]:
+        """Names of the buses for sentences, where the arm has several."""
+        return files.several_names(self.buses)
+
+    @property
+    def bitrate(self) -> int:
+        """Of all buses together (bit/s), 0 where there is none."""
+        return sum(bus.bitrate for bus in self.buses)
 
 
 def record_dtype(joint_count: int) -> np.dtype:
@@ -118,7 +131,7 @@ def read_recording(memory: MemoryFile, command: MemoryFile | None = None) -> Rec
 
 def kept_from(memory: MemoryFile, command: MemoryFile | None = None) -> Position:
     """Where what is kept begins."""
-    rings = _rings(memory)
+    rings = files.rings(memory.record["header"])
     asked = (0, 0) if command is None else (int(command.record[name][0]) for name in _ASKED)
     slots = (rings.record_slots, rings.frame_slots, layout.EVENT_SLOTS, layout.REQUEST_SLOTS, layout.SETPOINT_SLOTS)
     written = (*(int(memory.record[name][0]) for name in _KEPT), *asked)
@@ -144,7 +157,7 @@ def read_on(
     record = memory.record
     header = record["header"]
     joint_count = int(header["joint_count"])
-    rings = _rings(memory)
+    rings = files.rings(header)
     most_frames = None if most is None else most * max(rings.frame_slots // rings.record_slots, 1)
     frames, frames_lost, next_frame = _frames(memory, rings, since.frames, most_frames)
     records, records_lost, next_record = _records(memory, rings, joint_count, since.records, most)
@@ -161,7 +174,7 @@ def read_on(
         arm_hash=int(header["arm_hash"]),
         pid=int(header["pid"]),
         period_ns=int(header["period_ns"]),
-        bitrate=int(header["bitrate"]),
+        buses=files.buses(header),
         records=records,
         frames=frames,
         events=events,
@@ -176,11 +189,6 @@ def read_on(
         results=np.array(record["snapshot"]["results"]),
     )
     return recording, Position(next_record, next_frame, max(happened, since.events), next_request, next_setpoint)
-
-
-def _rings(memory: MemoryFile) -> layout.Rings:
-    header = memory.record["header"]
-    return layout.rings(*(int(header[name]) for name in ("joint_count", "period_ns", "bitrate")))
 
 
 def newest_events(record: np.void, count: int) -> np.ndarray:

@@ -197,7 +197,7 @@ def of_recording(path: Path) -> Facts:
         **{name: story[name] for name in ("arm", "reason", "damage", "fault", "joint")},
         "joints": list(recording.joints),
         "period_ns": recording.period_ns,
-        "bitrate": recording.bitrate,
+        "bitrate": recording.buses[0].bitrate if recording.buses else 0,
         "cycles": len(recording.records),
         "frames": len(recording.frames),
         "events": [[Event(int(event["kind"])).name, int(event["code"])] for event in recording.events],

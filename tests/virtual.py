@@ -25,13 +25,13 @@ from rtloop.dialogues.referencing import Referencing, referencing_asked_for
 from rtloop.dialogues.release import Release
 from rtloop.drives.power import Marks
 from rtloop.process import entries
-from rtloop.process.initial_state import new_loop, show_drives, show_limits
+from rtloop.process.initial_state import buses_of, new_loop, show_drives, show_limits
 from rtloop.service.conversation import Conversation
 from rtloop.service.port import ServicePort
 from shm import layout
 from shm.client import CommandWriter, StateReader
 from shm.errors import RingFull
-from shm.files import MemoryFile, name_bytes
+from shm.files import MemoryFile, name_bytes, write_buses
 from shm.record import Record
 from shm.recording import Recording, read_recording
 from shm.words import Answer, Entry, Mode, Outcome, Phase, Request, Slowed, Unreferenced
@@ -45,8 +45,8 @@ STORES = (Request.STOP, Request.HOLD, Request.RESUME, Request.CANCEL, Request.SP
 def private_file(record: type[Record], arm: ArmConfig) -> MemoryFile:
     """A memory file nobody else can find, with a valid header."""
     fd = os.memfd_create("rtarm-test")
-    bitrate = arm.bus.bitrate if arm.bus.interface != "mock" else 0
-    rings = layout.rings(len(arm.joints), arm.control.period_ns, bitrate)
+    buses = buses_of(arm)
+    rings = layout.rings(len(arm.joints), arm.control.period_ns, *(bus.bitrate for bus in buses))
     size = rings.file_bytes if record is layout.StateFile else record.dtype.itemsize
     os.truncate(fd, size)
     mapped = mmap.mmap(fd, size)
@@ -54,7 +54,7 @@ def private_file(record: type[Record], arm: ArmConfig) -> MemoryFile:
     header = memory.record["header"]
     header["joint_count"] = len(arm.joints)
     header["period_ns"] = arm.control.period_ns
-    header["bitrate"] = bitrate
+    write_buses(header, buses)
     header["arm_name"] = name_bytes((arm.name,), 1)
     header["joint_names"] = name_bytes([joint.name for joint in arm.joints], layout.MAX_JOINTS)
     if record is layout.StateFile:

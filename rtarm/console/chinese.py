@@ -109,6 +109,7 @@ WHY_LATE = {
 SENTENCES = {
     # --- words and figures
     ", ": "，",
+    "; ": "；",
     ", or ": "；或者 ",
     "{one} {other}": "{one}{other}",
     "{cause}.": "{cause}。",
@@ -136,6 +137,8 @@ SENTENCES = {
     "cycles": "周期",
     "scheduling": "调度",
     "bus": "总线",
+    "buses": "各总线",
+    "{bus} {state}, load {load:.1%}": "{bus} {state}，负载 {load:.1%}",
     "bus trouble": "总线异常",
     "control": "控制进程",
     "timing": "时序",

@@ -259,7 +259,7 @@ async def _perform(
     playing = asyncio.create_task(_play_goals(goals, client, played, reporter))
     try:
         await _show_progress(plan.arm, goals, playing, played, tracker, reporter)
-        since, bitrate, elapsed_ns = window.counters()
+        since, buses, elapsed_ns = window.counters()
         lateness, cycle_time = window.histogram("lateness"), window.histogram("cycle_time")
         try:
             await playing
@@ -277,7 +277,7 @@ async def _perform(
         "tracking_missed_cycles": tracker.missed,
         "lateness_us": percentiles_us(lateness),
         "cycle_us": percentiles_us(cycle_time),
-        **counters(since, bitrate, elapsed_ns),
+        **counters(since, buses, elapsed_ns),
         "scheduling": scheduling(reader.memory.record["scheduling"]),
     }
     reader.close()

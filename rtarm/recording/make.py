@@ -81,7 +81,7 @@ def record(memory: MemoryFile, word: str, path: Path | None = None, step: Step =
 
 def _sentence(word: str, recording: Recording) -> str:
     if word == FAULT and (latched := _latched(recording)) is not None:
-        return latched_sentence(latched, recording.joints)
+        return latched_sentence(latched, recording.joints, buses=recording.bus_names)
     if word == DEATH:
         return f"The control process (pid {recording.pid}) ended without an orderly end."
     return "Asked for by a person."

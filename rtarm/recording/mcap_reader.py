@@ -8,6 +8,7 @@ import os
 import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import IntEnum
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -46,7 +47,8 @@ from rtarm.recording.mcap_format import (
     library_of,
 )
 from shm import layout
-from shm.recording import EXTENDED, LENGTH_SHIFT, REMOTE, SENT, Recording, record_dtype
+from shm.files import Bus
+from shm.recording import BUS_SHIFT, EXTENDED, LENGTH_SHIFT, REMOTE, SENT, Recording, record_dtype
 from shm.words import Slowed
 
 
@@ -207,11 +209,13 @@ class _Table:
         self._pending = []
 
 
-def _tables(records: Iterator[Any], topics: dict[int, str], joints: Sequence[str]) -> dict[str, np.ndarray]:
+def _tables(
+    records: Iterator[Any], topics: dict[int, str], joints: Sequence[str], buses: Sequence[str]
+) -> dict[str, np.ndarray]:
     """The messages of our channels; those of others in the same file are let be."""
     from mcap.records import Channel, Message
 
-    tables = {STATE: _Table(_states_of), FRAMES: _Table(_frames_of), EVENTS: _Table(_events_of)}
+    tables = {STATE: _Table(_states_of), FRAMES: _Table(partial(_frames_of, buses)), EVENTS: _Table(_events_of)}
     tables.update((JOINTS + name, _Table(_joints_of)) for name in joints)
     for record in records:
         if isinstance(record, Channel) and record.message_encoding == JSON:
@@ -233,19 +237,20 @@ def _made(
     period_ns = int(about["period_ns"])
     if period_ns <= 0:
         raise ValueError(f"a period of {period_ns} ns")
-    tables = _tables(records, topics, joints)
+    buses = _buses_of(about)
+    tables = _tables(records, topics, joints, [bus.name for bus in buses])
     recording = Recording(
         arm=legible(about["arm"], LONGEST_NAME),
         joints=tuple(legible(name, LONGEST_NAME) for name in joints),
         arm_hash=int(about["arm_hash"], 16),
         pid=int(about["pid"]),
         period_ns=period_ns,
-        bitrate=int(about["bitrate"]),
+        buses=buses,
         records=_records(tables[STATE], [tables[JOINTS + name] for name in joints], damage),
         frames=tables[FRAMES],
         events=tables[EVENTS],
         limits=_limits_of(limits, joints),
-        identifiers=_identifiers_of(json.loads(about.get("identifiers", "[]")), len(joints)),
+        identifiers=_identifiers_of(json.loads(about.get("identifiers", "[]")), len(joints), len(buses)),
         scheduling=_filled_one(layout.Scheduling.dtype, json.loads(about["scheduling"])),
         lateness=_histogram_of(json.loads(timing.get("lateness", "{}"))),
         cycle_time=_histogram_of(json.loads(timing.get("cycle_time", "{}"))),
@@ -339,13 +344,26 @@ def _limits_of(texts: dict[str, str], joints: Sequence[str]) -> np.ndarray:
     return made
 
 
-def _identifiers_of(rows: list[list[int]], joint_count: int) -> np.ndarray:
-    """Files of before have none; their frames say themselves whose they are."""
+def _buses_of(about: Mapping[str, str]) -> tuple[Bus, ...]:
+    """An arm of one bus has its bit rate alone, one without a bus a bit rate of 0."""
+    rows = json.loads(about.get("buses", "[]"))
+    if len(rows) > layout.MAX_BUSES:
+        raise ValueError(f"{len(rows)} buses")
+    if rows:
+        return tuple(Bus(legible(name, LONGEST_NAME), int(bitrate)) for name, bitrate in rows)
+    bitrate = int(about["bitrate"])
+    return (Bus("", bitrate),) if bitrate else ()
+
+
+def _identifiers_of(rows: list[list[int]], joint_count: int, bus_count: int) -> np.ndarray:
+    """Files of before have none, and their frames say themselves whose they are; or they do not say on which bus."""
     made = np.zeros(len(rows), layout.Identifiers.dtype)
     for number, row in enumerate(rows):
-        made[number] = tuple(row)
+        made[number] = *row, *([0] * (len(layout.Identifiers.words) - len(row)))
     if np.any((made["joint"] < 0) | (made["joint"] >= joint_count)):
         raise ValueError("identifiers of no joint")
+    if np.any((made["bus"] < 0) | (made["bus"] >= max(bus_count, 1))):
+        raise ValueError("identifiers on no bus")
     return made
 
 
@@ -357,18 +375,19 @@ def _histogram_of(values: dict[str, Any]) -> np.ndarray:
     return made
 
 
-def _frames_of(rows: list[dict[str, Any]]) -> np.ndarray:
+def _frames_of(buses: Sequence[str], rows: list[dict[str, Any]]) -> np.ndarray:
     made = np.zeros(len(rows), layout.BusFrame.dtype)
     data = [bytes.fromhex(row["data"]) for row in rows]
     if (longest := max(map(len, data), default=0)) > 8:
         raise ValueError(f"a frame of {longest} bytes")
     made["monotonic_ns"] = [row["monotonic_ns"] for row in rows]
-    made["head"] = [_head_of(row, len(inside)) for row, inside in zip(rows, data, strict=True)]
+    made["head"] = [_head_of(buses, row, len(inside)) for row, inside in zip(rows, data, strict=True)]
     made["data"] = np.frombuffer(b"".join(inside.ljust(8, b"\0") for inside in data), "<i8")
     return made
 
 
-def _head_of(row: dict[str, Any], length: int) -> int:
-    """The word of a frame that has all but its data and time; files of before have no `remote`."""
+def _head_of(buses: Sequence[str], row: dict[str, Any], length: int) -> int:
+    """The word of a frame that has all but its data and time; files of before have no `remote`, one bus no name."""
     marks = (SENT if row["sent"] else 0) | (EXTENDED if row["extended"] else 0) | (REMOTE if row.get("remote") else 0)
-    return int(row["id"]) | length << LENGTH_SHIFT | marks
+    bus = buses.index(row["bus"]) if "bus" in row else 0
+    return int(row["id"]) | length << LENGTH_SHIFT | marks | bus << BUS_SHIFT

@@ -49,7 +49,17 @@ from rtarm.running.status import key
 from rtarm.top.events import BAD, ODD, happening
 from sentences.drive_words import words_of
 from shm import layout
-from shm.recording import EXTENDED, IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, REMOTE, SENT, Recording
+from shm.recording import (
+    BUS_MASK,
+    BUS_SHIFT,
+    EXTENDED,
+    IDENTIFIER_MASK,
+    LENGTH_MASK,
+    LENGTH_SHIFT,
+    REMOTE,
+    SENT,
+    Recording,
+)
 from shm.words import Slowed
 
 ASIDE_PREFIX, ASIDE_SUFFIX = ".rtarm-", ".new"
@@ -146,7 +156,7 @@ class Growing:
         for name, values in _metadata(first, reason).items():
             self._writer.add_metadata(name, values)
         self._channels = {}
-        for name, schema_name, schema in _schemas(first.joints):
+        for name, schema_name, schema in _schemas(first.joints, several_buses=len(first.buses) > 1):
             schema_id = self._writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
             self._channels[name] = self._writer.register_channel(name, JSON, schema_id)
         self._seconds = Seconds(first.bitrate)
@@ -201,7 +211,8 @@ def _metadata(recording: Recording, reason: Reason) -> dict[str, dict[str, str]]
         "joints": list(recording.joints),
         "rate_hz": 1e9 / recording.period_ns,
         "period_ns": recording.period_ns,
-        "bitrate": recording.bitrate,
+        "bitrate": recording.buses[0].bitrate if recording.buses else 0,
+        **({"buses": recording.buses} if len(recording.buses) > 1 else {}),
         "arm_hash": f"{recording.arm_hash:016x}",
         "pid": recording.pid,
         "lost": recording.lost,
@@ -239,7 +250,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _schemas(joints: Sequence[str], *, several_buses: bool) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Name of each channel, name of its schema, and the schema."""
     units = layout.CycleRecord.words | layout.Joint.words
 
@@ -282,6 +293,7 @@ def _schemas(joints: Sequence[str]) -> Iterator[tuple[str, str, dict[str, Any]]]
     frame = {
         "monotonic_ns": integer,
         "sent": {"type": "boolean", "description": "whether the control process sent it; it came otherwise"},
+        **({"bus": {**text, "description": "name of the bus it was on"}} if several_buses else {}),
         "joint": {"type": ["string", "null"], "description": "whose drive hears or says its identifier"},
         "id": integer,
         "extended": {"type": "boolean"},
@@ -361,7 +373,7 @@ def _to_epoch(recording: Recording, monotonic_ns: np.ndarray) -> list[int]:
 def _events(recording: Recording) -> Iterator[_Message]:
     epochs = _to_epoch(recording, recording.events["monotonic_ns"])
     for event, epoch_ns in zip(recording.events, epochs, strict=True):
-        told = happening(event, recording.joints)
+        told = happening(event, recording.joints, buses=recording.bus_names)
         level = {BAD: _LEVEL_ERROR, ODD: _LEVEL_WARNING}.get(told.style, _LEVEL_INFO)
         content = {
             "timestamp": {"sec": epoch_ns // 1_000_000_000, "nsec": epoch_ns % 1_000_000_000},
@@ -375,30 +387,35 @@ def _events(recording: Recording) -> Iterator[_Message]:
         yield told.monotonic_ns, epoch_ns, EVENTS, content
 
 
-def _whose(recording: Recording) -> Callable[[int, bool], str | None]:
-    """Which joint's drive an identifier belongs to; None for those of nobody, or of several."""
+def _whose(recording: Recording) -> Callable[[int, int, bool], str | None]:
+    """Which joint's drive an identifier on a bus belongs to; None for those of nobody, or of several."""
     rows = recording.identifiers.tolist()
 
     @cache
-    def whose(identifier: int, extended: bool) -> str | None:
-        found = {joint for match, mask, long, joint in rows if (identifier ^ match) & mask == 0 and long == extended}
+    def whose(bus: int, identifier: int, extended: bool) -> str | None:
+        found = {
+            joint
+            for match, mask, long, joint, on in rows
+            if (identifier ^ match) & mask == 0 and long == extended and on == bus
+        }
         return recording.joints[found.pop()] if len(found) == 1 else None
 
     return whose
 
 
 def _frames(recording: Recording) -> Iterator[_Message]:
-    whose = _whose(recording)
+    whose, names = _whose(recording), recording.bus_names
     order = np.argsort(recording.frames["monotonic_ns"], kind="stable")  # what was sent has its cycle's planned time
     frames = recording.frames[order]
     epochs = _to_epoch(recording, frames["monotonic_ns"])
     for (_, monotonic_ns, head, data), epoch_ns in zip(frames.tolist(), epochs, strict=True):
-        identifier = head & IDENTIFIER_MASK
+        bus, identifier = head >> BUS_SHIFT & BUS_MASK, head & IDENTIFIER_MASK
         length = min(head >> LENGTH_SHIFT & LENGTH_MASK, 8)
         content = {
             "monotonic_ns": monotonic_ns,
             "sent": bool(head & SENT),
-            "joint": whose(identifier, bool(head & EXTENDED)),
+            **({"bus": names[bus]} if bus < len(names) else {}),
+            "joint": whose(bus, identifier, bool(head & EXTENDED)),
             "id": identifier,
             "extended": bool(head & EXTENDED),
             "remote": bool(head & REMOTE),

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtarm.console.errors import Refusal
 from rtarm.console.language import said
-from rtarm.running.status import PERCENTS, Report, counters, key, of_cycle, problems, scheduling
+from rtarm.running.status import PERCENTS, CountedBus, Report, counters, key, of_cycle, problems, scheduling
 from rtarm.top.events import Happening, happenings
 from rtarm.top.terminal import show
 from rtarm.top.watch import HAPPENINGS, RECENT_S, Look, Timing, span_words, spectrum_of
@@ -38,7 +38,8 @@ class Playback:
         self._speed = speed
         self._clock = clock
         self._began_ns = clock()
-        self._happenings = [told for told, _ in happenings(recording.events, recording.joints, language)]
+        told = happenings(recording.events, recording.joints, language, recording.bus_names)
+        self._happenings = [one for one, _ in told]
         self._instants = recording.records["monotonic_ns"]
 
     def close(self) -> None:
@@ -94,7 +95,7 @@ class Playback:
         report: Report = {
             "arm": recording.arm,
             "running": True,
-            **of_cycle(record, recording.joints, now_ns, self._language),
+            **of_cycle(record, recording.joints, now_ns, self._language, recording.bus_names),
             "last_result": self._last_result(at, now_ns),
             "rate_hz": NS / recording.period_ns,
             "uptime_s": int(record["cycle"]) * recording.period_ns / NS,
@@ -124,7 +125,8 @@ class Playback:
                 name: value - int(before["cycle" if name == "cycles" else name]) for name, value in counted.items()
             }
             elapsed_ns = int(now["monotonic_ns"] - before["monotonic_ns"])
-        return counters(counted, self._recording.bitrate, elapsed_ns)
+        bitrate = self._recording.bitrate  # which bus carried what, the cycles do not tell
+        return counters(counted, [CountedBus("", bitrate, counted)] if bitrate else [], elapsed_ns)
 
     def _timing(self, what: str, span: str, name: str, first: int, at: int) -> Timing:
         values = np.maximum(self._recording.records[name][first : at + 1], 0)

@@ -33,7 +33,7 @@ class Seconds:
     """Sums up an arm's cycles second by second, however many of them come at a time."""
 
     def __init__(self, bitrate: int) -> None:
-        """`bitrate` of the bus (bit/s), 0 where there is none."""
+        """`bitrate` of all buses together (bit/s), 0 where there is none."""
         self._bitrate = bitrate
         self._pending = np.zeros(0, _SLIM)
         self._before: np.void | None = None
@@ -103,7 +103,10 @@ def properties() -> dict[str, dict[str, Any]]:
         "cycles_not_recorded": {**integer, "description": "cycles between them that are missing in the recording"},
         "cycles_per_s": number,
         **timed,
-        "bus_load": {**number, "description": "share of the bus' bits that were in use, 0…1"},
+        "bus_load": {
+            **number,
+            "description": "share of the bus' bits that were in use, 0…1; of several buses, those of all",
+        },
         **dict.fromkeys(RATES, number),
         **{name: {**integer, "description": "in this second"} for name in TOTALS},
         **{f"{name}_total": {**integer, "description": "since the control process began"} for name in TOTALS},

@@ -158,7 +158,7 @@ def _latched(records: np.ndarray) -> int | None:
 
 
 def _fault_words(recording: Recording, at: int, language: Language) -> str:
-    return latched_sentence(recording.records[at], recording.joints, language)
+    return latched_sentence(recording.records[at], recording.joints, language, recording.bus_names)
 
 
 def _heading(recording: Recording, zero_ns: int, language: Language) -> str:
@@ -197,7 +197,7 @@ def _lines(recording: Recording, language: Language) -> Iterator[Line]:
 def _from_events(recording: Recording, language: Language) -> Iterator[Line]:
     start_ns = int(recording.records["monotonic_ns"][0])
     bad = (Event.FAULT, Event.OVERRUN, Event.REFERENCE)
-    for told, event in happenings(recording.events, recording.joints, language):
+    for told, event in happenings(recording.events, recording.joints, language, recording.bus_names):
         if told.monotonic_ns >= start_ns:
             yield Line(told.monotonic_ns, told.sentence, told.style, int(event["kind"]) in bad, int(event["joint"]))
 

@@ -65,7 +65,7 @@ def _newest(connection: Connection) -> Iterator[Decision]:
     joints = connection.joints
     if now["fault"] != Fault.NONE:
         yield Decision(
-            lambda language: latched_sentence(now, joints, language),
+            lambda language: latched_sentence(now, joints, language, connection.buses),
             _joint(connection, now["fault_joint"]),
             now["fault_value"],
             now["fault_limit"],

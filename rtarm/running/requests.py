@@ -56,6 +56,7 @@ class Connection:
         self.arm = arm
         self.language = language
         self.joints = files.joint_names(reader.memory.record["header"])
+        self.buses = files.bus_names(reader.memory.record["header"])
         self._reader = reader
         self._writer = writer
 
@@ -170,7 +171,7 @@ class Connection:
         """The latched fault in a sentence, "" where there is none."""
         if snapshot["fault"] == Fault.NONE:
             return ""
-        return latched_sentence(snapshot, self.joints, self.language)
+        return latched_sentence(snapshot, self.joints, self.language, self.buses)
 
     def lost(self, snapshot: Snapshot) -> dict[str, int]:
         """The joints that have no reference, and why (shm.words.Unreferenced)."""

@@ -7,7 +7,7 @@ import re
 import time
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from shm.client import StateReader
 from shm.errors import NotRunning
 from shm.files import MemoryFile
 from shm.gripper import read_gripper
-from shm.layout import BUS_TROUBLE
+from shm.layout import BUS_TROUBLE, BusCounters
 from shm.snapshot import Snapshot
 from shm.words import BusState, DriveStatus, Fault, Mode, Outcome, Phase, Unreferenced
 
@@ -144,7 +144,7 @@ def report_of(arm: str, reader: StateReader, language: Language = "en") -> Repor
     report: Report = {
         "arm": arm,
         "running": True,
-        **of_cycle(snapshot, joints, now_ns, language),
+        **of_cycle(snapshot, joints, now_ns, language, files.bus_names(header)),
         "gripper": _gripper(reader.memory, now_ns, language),
         "last_result": _last_result(snapshot, joints, language),
         "rate_hz": 1e9 / int(header["period_ns"]),
@@ -158,7 +158,7 @@ def report_of(arm: str, reader: StateReader, language: Language = "en") -> Repor
         "lateness_us": percentiles_us(record["lateness"]),
         "cycle_us": percentiles_us(record["cycle_time"]),
         "scheduling": scheduling(record["scheduling"]),
-        **counters(record["counters"], int(header["bitrate"]), now_ns - int(header["start_monotonic_ns"])),
+        **counters(record["counters"], counted_buses(record), now_ns - int(header["start_monotonic_ns"])),
     }
     report["problems"] = problems(report, language)
     report["healthy"] = not report["problems"]
@@ -182,12 +182,17 @@ def _gripper(memory: MemoryFile, now_ns: int, language: Language) -> Report | No
     }
 
 
-def of_cycle(cycle: Any, joints: Sequence[str], now_ns: int, language: Language = "en") -> Report:
-    """What a snapshot tells, or the flight recorder's record of a cycle, whose words have the same names."""
+def of_cycle(
+    cycle: Any, joints: Sequence[str], now_ns: int, language: Language = "en", buses: Sequence[str] = ()
+) -> Report:
+    """What a snapshot tells, or the flight recorder's record of a cycle, whose words have the same names.
+
+    `buses` are the names of the arm's buses, where it has several.
+    """
     return {
         "mode": key(Mode, int(cycle["mode"])),
         "held": bool(cycle["held"]),
-        "fault": _fault(cycle, joints, now_ns, language),
+        "fault": _fault(cycle, joints, now_ns, language, buses),
         "goal": _goal(cycle),
         "speed_scale": float(cycle["speed_scale"]),
         "joints": [_joint(name, cycle["joints"][index], now_ns, language) for index, name in enumerate(joints)],
@@ -234,20 +239,52 @@ def percentiles_us(record: np.void) -> Report:
     return {**found, "max": int(record["max_ns"]) * 1e-3, "count": int(record["count"])}
 
 
-def counters(record: Any, bitrate: int, elapsed_ns: int) -> Report:
-    """The counters, and the bus load as the mean over `elapsed_ns` (None without a bus)."""
-    seconds = elapsed_ns * 1e-9
-    load = int(record["bits_on_bus"]) / (bitrate * seconds) if bitrate > 0 and seconds > 0 else None
-    return {
+class CountedBus(NamedTuple):
+    """A bus: its name ("" where the arm has one), its bit rate (bit/s), what was counted on it (layout.BusCounters)."""
+
+    name: str
+    bitrate: int
+    counted: Any
+
+
+def counted_buses(record: np.void) -> list[CountedBus]:
+    """The arm's buses in a state file, and what was counted on each since the start."""
+    return [
+        CountedBus(bus.name, bus.bitrate, counted)
+        for bus, counted in zip(files.buses(record["header"]), record["buses"], strict=False)
+    ]
+
+
+def counters(record: Any, buses: Sequence[CountedBus], elapsed_ns: int) -> Report:
+    """The counters of all buses with the load of the busiest, and those of each where there are several.
+
+    A load is the mean over `elapsed_ns`, None without a bus.
+    """
+    loads = [_load(bus, elapsed_ns * 1e-9) for bus in buses]
+    report: Report = {
         "cycles": int(record["cycles"]),
         "overruns": int(record["overruns"]),
-        "bus": {
-            "frames_tx": int(record["frames_sent"]),
-            "frames_rx": int(record["frames_received"]),
-            "load": load,
-            **{name: int(record[name]) for name in BUS_TROUBLE},
-            "state": key(BusState, int(record["bus_state"])),
-        },
+        "bus": _of_bus(record, max((load for load in loads if load is not None), default=None), BUS_TROUBLE),
+    }
+    if len(buses) > 1:
+        troubles = [name for name in BUS_TROUBLE if name in BusCounters.words]
+        report["buses"] = [
+            {"name": bus.name, **_of_bus(bus.counted, load, troubles)} for bus, load in zip(buses, loads, strict=True)
+        ]
+    return report
+
+
+def _load(bus: CountedBus, seconds: float) -> float | None:
+    return int(bus.counted["bits_on_bus"]) / (bus.bitrate * seconds) if seconds > 0 else None
+
+
+def _of_bus(counted: Any, load: float | None, troubles: Sequence[str]) -> Report:
+    return {
+        "frames_tx": int(counted["frames_sent"]),
+        "frames_rx": int(counted["frames_received"]),
+        "load": load,
+        **{name: int(counted[name]) for name in troubles},
+        "state": key(BusState, int(counted["bus_state"])),
     }
 
 
@@ -278,8 +315,9 @@ def problems(report: Mapping[str, Any], language: Language = "en") -> list[str]:
                 age=report["cycle_age_ms"] / 1e3,
             )
         )
-    if report["bus"]["state"] in DOUBTFUL_BUS:
-        found.append(bus_state_sentence(DOUBTFUL_BUS[report["bus"]["state"]], language))
+    for bus in report.get("buses", [{"name": "", **report["bus"]}]):
+        if bus["state"] in DOUBTFUL_BUS:
+            found.append(bus_state_sentence(DOUBTFUL_BUS[bus["state"]], language, bus["name"]))
     found += report["unreferenced"]
     (protected,) = troubles_of(DriveStatus.PROTECTED, language)
     for joint in report["joints"]:
@@ -311,14 +349,16 @@ def _drive_problem(joint: Mapping[str, Any], language: Language) -> str:
     )
 
 
-def _fault(snapshot: Snapshot, joints: Sequence[str], now_ns: int, language: Language) -> Report | None:
+def _fault(
+    snapshot: Snapshot, joints: Sequence[str], now_ns: int, language: Language, buses: Sequence[str]
+) -> Report | None:
     number = snapshot["fault"]
     if number == Fault.NONE:
         return None
     joint = snapshot["fault_joint"]
     return {
         "name": key(Fault, number),
-        "sentence": latched_sentence(snapshot, joints, language),
+        "sentence": latched_sentence(snapshot, joints, language, buses),
         "joint": joints[joint] if 0 <= joint < len(joints) else None,
         "value": _finite(snapshot["fault_value"]),
         "limit": _finite(snapshot["fault_limit"]),

@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from rtarm.console.chinese import BUS_TROUBLES, GRIPS, MODES, PHASES
+from rtarm.console.chinese import BUS_STATES, BUS_TROUBLES, GRIPS, MODES, PHASES
 from rtarm.console.language import named, said
 from rtarm.console.wrapping import Sentence
 from rtarm.running.status import PERCENTS, describe_scheduling
@@ -157,10 +157,27 @@ def _facts_table(report: Mapping[str, Any], language: Language) -> Table:
     frames = said(language, "{sent} frames sent, {received} received", sent=bus["frames_tx"], received=bus["frames_rx"])
     load = "" if bus["load"] is None else said(language, ", load {load:.1%}", load=bus["load"])
     table.add_row(said(language, "bus"), f"{frames}{load}")
+    if "buses" in report:
+        table.add_row(said(language, "buses"), Sentence(Text(buses_words(report["buses"], language))))
     trouble = trouble_words(bus, language)
     if trouble:
         table.add_row(said(language, "bus trouble"), Sentence(Text(trouble)))
     return table
+
+
+def buses_words(buses: Sequence[Mapping[str, Any]], language: Language = "en") -> str:
+    """Load and state of each of several buses, by its name."""
+    each = (
+        said(
+            language,
+            "{bus} {state}, load {load:.1%}",
+            bus=bus["name"],
+            state=named(language, BUS_STATES, bus["state"]),
+            load=bus["load"] or 0.0,
+        )
+        for bus in buses
+    )
+    return said(language, "; ").join(each)
 
 
 def trouble_words(bus: Mapping[str, Any], language: Language = "en") -> str:

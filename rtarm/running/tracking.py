@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from rtarm.running.status import CountedBus, counted_buses
 from shm import histogram
 from shm.client import StateReader
 from shm.errors import TornRead
-from shm.layout import Counters, Histogram
+from shm.layout import BusCounters, Counters, Histogram
 from shm.snapshot import Snapshot
 
 AFTER_CYCLE_S = 0.0015
@@ -96,19 +98,18 @@ class Window:
 
     def __init__(self, reader: StateReader) -> None:
         self._record = reader.memory.record
-        self._bitrate = int(self._record["header"]["bitrate"])
         self._began_ns = time.monotonic_ns()
-        self._counters = self._record["counters"].copy()
+        self._counters, self._buses = self._record["counters"].copy(), self._record["buses"].copy()
         self._buckets = {name: self._record[name]["buckets"].copy() for name in ("lateness", "cycle_time")}
 
-    def counters(self) -> tuple[np.void, int, int]:
-        """What happened since the beginning, the bit rate, and the nanoseconds since."""
-        since = np.zeros(1, Counters.dtype)
-        now = self._record["counters"].copy()
-        for name in Counters.words:
-            since[name] = now[name] - self._counters[name]
-        found: np.void = since[0]
-        return found, self._bitrate, time.monotonic_ns() - self._began_ns
+    def counters(self) -> tuple[np.void, list[CountedBus], int]:
+        """What happened since the beginning, the same of each bus, and the nanoseconds since."""
+        buses = [
+            bus._replace(counted=_risen(bus.counted, before, BusCounters.words))
+            for bus, before in zip(counted_buses(self._record), self._buses, strict=False)
+        ]
+        since = _risen(self._record["counters"], self._counters, Counters.words)
+        return since, buses, time.monotonic_ns() - self._began_ns
 
     def histogram(self, name: str) -> np.void:
         """`lateness` or `cycle_time` since the beginning, as a histogram of its own."""
@@ -122,6 +123,15 @@ class Window:
             # The exact maximum is known only of all time; of this stretch, the bucket it lies in.
             since["max_ns"] = min(int(now["max_ns"]), histogram.upper_ns(int(used[-1])))
         return since
+
+
+def _risen(now: np.void, before: np.void, names: Iterable[str]) -> np.void:
+    """Counters less what they were; the state of a bus is as it is now."""
+    risen = now.copy()
+    for name in names:
+        if name != "bus_state":
+            risen[name] -= before[name]
+    return risen
 
 
 def plain(figures: dict[str, Any]) -> dict[str, Any]:

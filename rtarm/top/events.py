@@ -18,6 +18,7 @@ from sentences.told import (
     fault_told,
     joint_name,
     mode_name,
+    of_bus,
     outcome_sentence,
     unreferenced_sentence,
     unreferenced_sentences,
@@ -36,21 +37,25 @@ class Happening(NamedTuple):
     style: str = PLAIN
 
 
-def happening(event: np.void, joints: Sequence[str], language: Language = "en") -> Happening:
-    """An event in words; whatever stands in it, there are some."""
+def happening(event: np.void, joints: Sequence[str], language: Language = "en", buses: Sequence[str] = ()) -> Happening:
+    """An event in words; whatever stands in it, there are some. `buses`: their names, where the arm has several."""
     kind, code = int(event["kind"]), int(event["code"])
     value, limit = float(event["value"]), float(event["limit"])
     if kind == Event.FAULT:
         silent, evidence = int(event["silent"]), int(event["evidence"])
-        sentence, style = fault_told(code, int(event["joint"]), value, limit, silent, evidence, joints, language), BAD
+        joint = int(event["joint"])
+        sentence, style = fault_told(code, joint, value, limit, silent, evidence, joints, language, buses), BAD
+    elif kind == Event.WIRE:
+        bus = buses[code] if 0 <= code < len(buses) else ""
+        sentence, style = of_bus(PHRASES[language].wire_is_back, bus, language), GOOD
     else:
-        joint = joint_name(int(event["joint"]), joints, language)
-        sentence, style = _told(kind, code, joint, value, limit, language)
+        about = joint_name(int(event["joint"]), joints, language)
+        sentence, style = _told(kind, code, about, value, limit, language)
     return Happening(int(event["monotonic_ns"]), sentence, style)
 
 
 def happenings(
-    events: Iterable[np.void], joints: Sequence[str], language: Language = "en"
+    events: Iterable[np.void], joints: Sequence[str], language: Language = "en", buses: Sequence[str] = ()
 ) -> list[tuple[Happening, np.void]]:
     """Events in words, each with its record, in their order; what befell several joints at one instant is said once.
 
@@ -68,7 +73,7 @@ def happenings(
                 found[at] = found[at][0]._replace(sentence=sentence), found[at][1]
                 continue
             lost[together] = len(found), [joint_name(int(event["joint"]), joints, language)]
-        found.append((happening(event, joints, language), event))
+        found.append((happening(event, joints, language, buses), event))
     return found
 
 
@@ -95,8 +100,6 @@ def _told(kind: int, code: int, joint: str, value: float, limit: float, language
         return outcome_sentence(Outcome.CLOCK_GAP, joint, value, limit, language), BAD
     if kind == Event.REFERENCE:
         return unreferenced_sentence(code, joint, language), BAD
-    if kind == Event.WIRE:
-        return PHRASES[language].wire_is_back, GOOD
     if kind == Event.HEALED:
         return PHRASES[language].healed, GOOD
     return said(language, "Unknown event {kind}: start all processes from one installation.", kind=kind), ODD

@@ -16,10 +16,11 @@ from rich.text import Text
 from rtarm.console.chinese import TIMINGS
 from rtarm.console.language import named, said
 from rtarm.console.wrapping import wrapped
-from rtarm.running.status import describe_scheduling
+from rtarm.running.status import DOUBTFUL_BUS, describe_scheduling
 from rtarm.running.status_tables import (
     DRIVE_COLUMNS,
     DriveColumn,
+    buses_words,
     duration_words,
     goal_words,
     heading,
@@ -248,6 +249,7 @@ def _facts(look: Look, width: int) -> list[Text]:
             "red" if recent["overruns"] else "",
         ),
         (said(language, "bus"), *_bus(report["bus"], recent["bus"], look)),
+        *_buses(recent, language),
         ("ROS", *_front(report["front"], language)),
         (
             said(language, "control"),
@@ -285,6 +287,14 @@ def _bus(total: Mapping[str, Any], recent: Mapping[str, Any], look: Look) -> tup
     elif trouble:
         words.append(trouble)
     return said(language, ", ").join(words), "red" if new_trouble else ""
+
+
+def _buses(recent: Mapping[str, Any], language: Language) -> list[tuple[str, str, str]]:
+    """Load of the last seconds and state of each of several buses."""
+    if "buses" not in recent:
+        return []
+    doubtful = any(bus["state"] in DOUBTFUL_BUS for bus in recent["buses"])
+    return [(said(language, "buses"), buses_words(recent["buses"], language), "red" if doubtful else "")]
 
 
 def _front(front: Mapping[str, Any], language: Language) -> tuple[str, str]:

@@ -170,7 +170,7 @@ class Watch:
         report = report_of(self._last.arm, reader, self._language)
         self._follow_front(report["front"]["pid"])
         window = self._window(reader)
-        since, bitrate, elapsed_ns = window.counters()
+        since, buses, elapsed_ns = window.counters()
         record = reader.memory.record
         seconds = elapsed_ns / NS
         timings = [
@@ -184,7 +184,7 @@ class Watch:
         return Look(
             arm=self._last.arm,
             report=report,
-            recent=counters(since, bitrate, elapsed_ns),
+            recent=counters(since, buses, elapsed_ns),
             recent_s=seconds,
             timings=timings,
             happenings=self._newest_first(self._happenings(reader)),
@@ -214,8 +214,8 @@ class Watch:
 
     def _happenings(self, reader: StateReader) -> list[Happening]:
         record = reader.memory.record
-        joints = files.joint_names(record["header"])
-        return [one for one, _ in happenings(newest_events(record, HAPPENINGS), joints, self._language)]
+        joints, buses = files.joint_names(record["header"]), files.bus_names(record["header"])
+        return [one for one, _ in happenings(newest_events(record, HAPPENINGS), joints, self._language, buses)]
 
     def _newest_first(self, of_now: Sequence[Happening]) -> list[Happening]:
         found = sorted((*self._past, *of_now), key=lambda one: one.monotonic_ns)

@@ -14,8 +14,8 @@ from config.schema import ArmConfig
 from rtarm.console.chinese import MODES, PHASES
 from rtarm.console.language import named
 from rtarm.running.referencing import Reading, no_angle_words
-from rtarm.running.status import describe_scheduling
-from rtarm.running.status_tables import duration_words, gripper_words, trouble_words
+from rtarm.running.status import DOUBTFUL_BUS, describe_scheduling
+from rtarm.running.status_tables import buses_words, duration_words, gripper_words, trouble_words
 from rtarm.top.events import BAD, GOOD, ODD, Happening
 from rtarm.top.watch import Look
 from rtarm.view.limits import Nearness, Side, nearness, share
@@ -209,6 +209,9 @@ def machine_html(look: Look, words: Words) -> str:
             load=bus["load"], sent=bus["frames_tx"] / seconds, received=bus["frames_rx"] / seconds
         )
         rows.append((words.bus, told, ""))
+    if "buses" in recent:
+        doubtful = any(one["state"] in DOUBTFUL_BUS for one in recent["buses"])
+        rows.append((words.buses, buses_words(recent["buses"], words.language), "BAD" if doubtful else ""))
     if trouble := trouble_words(report["bus"], words.language):
         rows.append((words.bus_trouble, trouble, "BAD" if trouble_words(bus) else ""))
     front = report["front"]["pid"]

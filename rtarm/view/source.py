@@ -131,8 +131,7 @@ class FollowedRecorder:
 
     def _taken(self, memory: MemoryFile) -> np.ndarray:
         header = memory.record["header"]
-        joints, period_ns = int(header["joint_count"]), int(header["period_ns"])
-        rings = layout.rings(joints, period_ns, int(header["bitrate"]))
+        joints, period_ns, rings = int(header["joint_count"]), int(header["period_ns"]), files.rings(header)
         written = int(memory.record["records_written"][0])
         most = min(round(SHOWN_S * NS / period_ns), rings.record_slots - 1)
         numbers = range(max(self._next, written - most), written)

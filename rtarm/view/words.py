@@ -92,6 +92,7 @@ class Words:
     percentiles: str
     bus: str
     bus_told: str
+    buses: str
     no_bus: str
     bus_trouble: str
     ros: str
@@ -186,6 +187,7 @@ ENGLISH = Words(
     percentiles="p50 {p50:.0f}, p99 {p99:.0f}, worst {max:.0f} µs in the {span}",
     bus="bus",
     bus_told="load {load:.0%}, {sent:.0f} frames/s sent, {received:.0f} received",
+    buses="buses",
     no_bus="no bus",
     bus_trouble="bus trouble",
     ros="ROS process",
@@ -275,6 +277,7 @@ CHINESE = Words(
     percentiles="p50 {p50:.0f}，p99 {p99:.0f}，最大 {max:.0f} µs（{span}）",
     bus="总线",
     bus_told="负载 {load:.0%}，每秒发送 {sent:.0f} 帧，接收 {received:.0f} 帧",
+    buses="各总线",
     no_bus="没有总线",
     bus_trouble="总线异常",
     ros="ROS 进程",

@@ -13,6 +13,7 @@ from rtloop.safety import monitor, silence
 from rtloop.safety.faults import latch_fault
 from rtloop.service import rings
 from rtloop.wire import can_errors, outgoing, received, wires
+from rtloop.wire.counted import count_error_frame, count_received
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from rtloop.wire.outgoing import frame_bits
 from shm.layout import MAX_JOINTS, StateFile
@@ -40,12 +41,13 @@ def take_what_the_bus_brought(loop: Loop, shared: StateFile) -> None:
         bus = loop.buses[number]
         lost += received.lost(bus)
         outgoing.take_back(shared, bus, received.unsent(bus))
-        silence.follow(loop, bus)
+        silence.follow(loop, shared, bus)
         error = received.closed(bus) - 1
         if error >= 0:
             bus.transmit_inhibited = 1
             if loop.mode != Mode.OFFLINE:
-                latch_fault(loop, shared, Fault.LINK_DOWN if error == ENETDOWN else Fault.WIRE, -1, float(error), 0.0)
+                fault = Fault.LINK_DOWN if error == ENETDOWN else Fault.WIRE
+                latch_fault(loop, shared, fault, -1, float(error), float(number))
     shared.counters.receive_overflows = lost
 
 
@@ -82,25 +84,21 @@ def take_error(loop: Loop, shared: StateFile, bus: Bus, error_class: int, data: 
 
     What the kernel held back at bus-off is dropped there; from here on nothing but readings may be asked for.
     """
-    counters = shared.counters
-    counters.error_frames += 1
-    bus.quiet.error_frames += 1
-    if can_errors.unacknowledged(error_class, data):
-        counters.unacknowledged += 1
-        bus.quiet.unacknowledged += 1
-    bus.state = can_errors.state_after(bus.state, error_class, data)
-    show_worst_state(loop, shared)
-    if bus.state == BusState.BUS_OFF and bus.transmit_inhibited == 0:
+    count_error_frame(shared, bus, can_errors.unacknowledged(error_class, data))
+    state = can_errors.state_after(shared.buses[bus.number].bus_state, error_class, data)
+    show_state(loop, shared, bus, state)
+    if state == BusState.BUS_OFF and bus.transmit_inhibited == 0:
         bus.transmit_inhibited = 1
-        latch_fault(loop, shared, Fault.BUS_OFF, -1, float(error_class), 0.0)
+        latch_fault(loop, shared, Fault.BUS_OFF, -1, float(error_class), float(bus.number))
 
 
 @jit
-def show_worst_state(loop: Loop, shared: StateFile) -> None:
-    """Show the worst state of the arm's buses."""
+def show_state(loop: Loop, shared: StateFile, bus: Bus, state: int) -> None:
+    """Show the state of a bus, and the worst of the arm's buses."""
+    shared.buses[bus.number].bus_state = state
     worst = _ACTIVE
     for number in range(loop.params.bus_count):
-        worst = max(worst, loop.buses[number].state)
+        worst = max(worst, shared.buses[number].bus_state)
     shared.counters.bus_state = worst
 
 
@@ -114,10 +112,8 @@ def take_frame(
     so an echo means nothing here.
     """
     bus = loop.buses[number]
-    shared.counters.frames_received += 1
-    bus.quiet.frames_received += 1
-    shared.counters.bits_on_bus += frame_bits(kind, length)
-    record_frame(loop, shared, time_ns, frame_id, marks_of(kind), length, data)
+    count_received(shared, bus, frame_bits(kind, length))
+    record_frame(loop, shared, number, time_ns, frame_id, marks_of(kind), length, data)
     joint = whose(loop, number, frame_id, kind)
     if joint == NOBODY:
         return

@@ -84,7 +84,7 @@ def begin_bring_up(loop: Loop, shared: StateFile) -> None:
     for number in range(loop.params.bus_count):
         bus = loop.buses[number]
         bus.transmit_inhibited = bus.unacknowledged_since_ns = 0
-        bus.state = BusState.ACTIVE  # until the controller says otherwise
+        shared.buses[number].bus_state = BusState.ACTIVE  # until the controller says otherwise
     shared.counters.bus_state = BusState.ACTIVE
     for joint in range(loop.params.joint_count):
         references.await_bring_up(loop, joint)

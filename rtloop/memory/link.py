@@ -9,7 +9,6 @@ from rtloop.memory.owned_record import OwnedRecord
 from shm.layout import MAX_JOINTS
 from shm.record import Bytes, Ints, Rows, SmallInts
 
-MAX_BUSES = 4
 TX_BYTES = 8192
 RX_BYTES = 1 << 16
 RX_CHUNKS = 1024
@@ -161,6 +160,7 @@ class Quiet(OwnedRecord, writers=("bus", "cycle", "safety.silence", "wire")):
     spoke_ns: int  # cycle that last had anything to send
     # since the last frame of a drive
     away_ns: int  # for how long the cycle was away
+    # the bus' counters as they were at the last frame of a drive
     bytes_unsent: int
     unacknowledged: int
     error_frames: int
@@ -182,18 +182,17 @@ class Bus(
         "cycle",
         "drives.cia402",
         "drives.receiving",
-        "process.run",
         "wire.outgoing",
     ),
 ):
     """A bus of the arm: its wire, whose turn it is to be asked, and for how long nothing has answered."""
 
     address: int  # of this record itself
+    number: int  # its place among the arm's buses
     interface: int  # WIRE_…
     simulated: int  # 1: the wire is a pseudo-terminal, behind which a program is the drives
     service_bits: int  # bits of bus time a cycle may use in all, service frames included
     joint_count: int  # joints whose drives are on it
-    state: int  # shm.words.BusState
     speech: int  # what may leave in this cycle: SILENT, PROBING or SPEAKING
     transmit_inhibited: int  # 1: the drives were out of reach and get no motion frame until they are brought up again
     unheard_frames: int  # given to the wire since the last frame of a drive

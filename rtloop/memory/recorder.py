@@ -90,15 +90,15 @@ def marks_of(kind: int) -> int:
 
 @jit
 def record_frame(
-    loop: Loop, shared: StateFile, time_ns: int, frame_id: int, marks: int, length: int, data: int
+    loop: Loop, shared: StateFile, bus: int, time_ns: int, frame_id: int, marks: int, length: int, data: int
 ) -> None:
-    """Keep a CAN frame; `marks` are SENT and those of its kind."""
+    """Keep a CAN frame of the bus of a number; `marks` are SENT and those of its kind."""
     slots = shared.recorder.frame_slots
     if slots == 0:
         return
     written = loop.params.state_address + _FRAMES_WRITTEN
     number = load_relaxed(written)
-    head = frame_id | (length << recording.LENGTH_SHIFT) | marks
+    head = frame_id | (length << recording.LENGTH_SHIFT) | marks | (bus << recording.BUS_SHIFT)
     ring = _RINGS + shared.recorder.record_slots * shared.recorder.record_bytes
     target = loop.params.state_address + ring + number % slots * _FRAME_BYTES
     store_relaxed(target, frame_check(number, time_ns, head, data))

@@ -8,11 +8,11 @@ copied, compared and replayed. Its parts are declared by subject: `axis`, `motio
 from typing import Annotated
 
 from rtloop.memory.axis import Axis, JointParams
-from rtloop.memory.link import LISTENERS, MAX_BUSES, Bus, Listener, ServiceRing
+from rtloop.memory.link import LISTENERS, Bus, Listener, ServiceRing
 from rtloop.memory.motion import WINDOW_WAYPOINTS, Clock, Front, Goals, Motion, Operator, Path, Search
 from rtloop.memory.owned_record import OwnedRecord
 from shm import layout
-from shm.layout import MAX_JOINTS
+from shm.layout import MAX_BUSES, MAX_JOINTS
 from shm.record import Floats, Ints, Rows
 
 HISTORY_SLOTS = 256

@@ -24,14 +24,14 @@ from rtloop.kept import commissioned, reference_store
 from rtloop.memory.state import Loop
 from rtloop.process.attended_wire import AttendedWire
 from rtloop.process.compiled import CompiledCycle
-from rtloop.process.initial_state import new_loop, show_drives, show_limits
+from rtloop.process.initial_state import buses_of, new_loop, show_drives, show_limits
 from rtloop.service.conversation import Conversation, DialogueFailed
 from rtloop.service.port import HOME_ALL, ServicePort
 from rtloop.system import realtime
 from rtloop.wire.claim import Claim, claim_for_arm
 from rtloop.wire.refusal import WireRefused
 from sentences.english import HEALED
-from sentences.told import fault_told
+from sentences.told import fault_told, of_bus
 from shm import files
 from shm.record import offset_of
 from shm.words import Mode, Phase, Unreferenced
@@ -92,7 +92,7 @@ class ControlProcess:
             tuple(joint.name for joint in arm.joints),
             arm_hash(arm),
             arm.control.period_ns,
-            arm.bus.bitrate if arm.bus.interface != "mock" else 0,
+            buses_of(arm),
             arm_file=arm.file_argument,
             arm_file_hash=arm.source.file_hash if arm.source else 0,
             options=arm.has_options,
@@ -110,8 +110,10 @@ class ControlProcess:
             self._claim = claim_for_arm(arm)
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
             leave_to_cycle(arm.realtime.cpu)  # before the wires, which may have threads
+            self._buses = files.several_names(buses_of(arm))
             for number, part in enumerate(arm.parts):
-                wire = AttendedWire(part, number, self._loop, compiled, start=self._start_reader, tell=tell)
+                tells = self._teller_of(number)
+                wire = AttendedWire(part, number, self._loop, compiled, start=self._start_reader, tell=tells)
                 self._wires.append(wire)
                 wire.open()
             self._port = ServicePort(self._loop, compiled)
@@ -426,7 +428,12 @@ class ControlProcess:
         told = (fault[name].item() for name in ("code", "joint", "value", "limit", "silent", "evidence"))
         code, joint, value, limit, silent, evidence = told
         names = [joint.name for joint in self._arm.joints]
-        return fault_told(code, joint, value, limit, silent, evidence, names)
+        return fault_told(code, joint, value, limit, silent, evidence, names, buses=self._buses)
+
+    def _teller_of(self, number: int) -> Callable[[str], None]:
+        """Tells what is said of a bus' wire, by the name of the bus where there are several."""
+        bus = self._buses[number] if self._buses else ""
+        return lambda sentence: self._tell(of_bus(sentence, bus))
 
     def _run_shutdown_dialogue(self) -> None:
         """Turn off the reports of drives that send positions unasked; until the end the cycle polls them instead."""

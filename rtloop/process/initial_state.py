@@ -18,6 +18,7 @@ from rtloop.memory.frame_words import EXTENDED, STANDARD
 from rtloop.memory.link import CAN_FRAME_BYTES, GRIPPER, LISTENERS, WIRES, Part
 from rtloop.memory.state import Loop, Params
 from shm import layout
+from shm.files import Bus
 from shm.words import Mode, Unreferenced
 
 SERVICE_SHARE = 0.95
@@ -63,6 +64,11 @@ def new_loop(arm: ArmConfig, state_address: int, command_address: int) -> np.nda
     return loop
 
 
+def buses_of(arm: ArmConfig) -> tuple[Bus, ...]:
+    """What the headers of the memory files say of the arm's buses; nothing with mock drives."""
+    return () if arm.bus.interface == "mock" else tuple(Bus(bus.name or "", bus.bitrate) for bus in arm.buses)
+
+
 def show_limits(limits: np.void, loop: np.ndarray) -> None:
     """Write the arm's limits into the state file's record for them (layout.Limits)."""
     params, joints = loop[0]["params"], loop[0]["joints"]
@@ -76,8 +82,12 @@ def show_drives(state: np.void, arm: ArmConfig) -> None:
     """Write into the state file (layout.StateFile) which identifiers are which joint's, and which joints can home."""
     for joint, config in enumerate(arm.joints):
         state["limits"]["joints"]["homes"][joint] = homes_by_a_run(config.drive)
-    used = [(one, joint) for joint, config in enumerate(arm.joints) for one in config.drive.identifiers]
-    rows = [(one.match, one.mask, one.extended, joint) for one, joint in used if not one.shared]
+    used = [(one, joint, config) for joint, config in enumerate(arm.joints) for one in config.drive.identifiers]
+    rows = [
+        (one.match, one.mask, one.extended, joint, arm.bus_number(config))
+        for one, joint, config in used
+        if not one.shared
+    ]
     table = state["identifiers"]
     table[: len(rows)] = rows[: len(table)]
 
@@ -119,6 +129,7 @@ def _fill_buses(loop: np.ndarray, arm: ArmConfig) -> None:
     for number, part in enumerate(arm.parts):
         bus, config = buses[number], part.bus
         bus["address"] = buses.ctypes.data + number * buses.dtype.itemsize
+        bus["number"] = number
         bus["interface"] = WIRES[config.interface]
         bus["simulated"] = os.path.realpath(config.resolved_channel).startswith(PSEUDO_TERMINALS)
         bus["service_bits"] = round(config.bitrate * arm.control.period_ns * 1e-9 * SERVICE_SHARE)

@@ -6,7 +6,7 @@ locks that an ordinary-priority kernel worker may hold). The cycle reads only th
 """
 
 from compilation.jit import jit
-from rtloop.bus.measured import show_worst_state
+from rtloop.bus.measured import show_state
 from rtloop.cycle import step
 from rtloop.memory.events import record_event
 from rtloop.memory.link import CAN_FRAME_BYTES, READ_BYTES, RX_FRAMES, WIRE_SOCKETCAN, Bus
@@ -117,9 +117,8 @@ def take_over_wire(loop: Loop, shared: StateFile, bus: Bus) -> int:
         outgoing.forget(loop, shared, bus)
         wires.forget_half_frames(bus)
         if fd >= 0 and loop.timing.cycle > 0:
-            bus.state = BusState.ACTIVE
-            show_worst_state(loop, shared)
-            record_event(loop, shared, Event.WIRE, -1, 0, 0.0, 0.0)
+            show_state(loop, shared, bus, BusState.ACTIVE)
+            record_event(loop, shared, Event.WIRE, -1, bus.number, 0.0, 0.0)
         # pairs with `load_word` of the ordinary thread: the old descriptor is closed after its last use
         store_release(base + _FD_IN_USE, fd)
     return fd

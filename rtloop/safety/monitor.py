@@ -80,9 +80,8 @@ def latch_silence(loop: Loop, shared: StateFile, joint: int, age_ns: int) -> Non
             all_silent = False
     named = -1 if all_silent else joint
     value, limit = age_ns * 1e-9, loop.params.stale_fault_ns * 1e-9
-    latch_fault(
-        loop, shared, Fault.STALE_READING, named, value, limit, silent, silence.evidence(loop, bus_of(loop, joint))
-    )
+    evidence = silence.evidence(loop, shared, bus_of(loop, joint))
+    latch_fault(loop, shared, Fault.STALE_READING, named, value, limit, silent, evidence)
 
 
 @jit

@@ -7,6 +7,7 @@ from compilation.jit import jit
 from rtloop.memory.link import Bus
 from rtloop.memory.state import Loop
 from rtloop.wire import received
+from shm.layout import StateFile
 from shm.words import BusState, Evidence
 
 # numba adds up no members of an enumeration, so they are plain integers here.
@@ -18,22 +19,23 @@ _SIMULATED = int(Evidence.SIMULATED)
 
 
 @jit
-def follow(loop: Loop, bus: Bus) -> None:
+def follow(loop: Loop, shared: StateFile, bus: Bus) -> None:
     """Once a cycle, behind all that the bus brought: note each sign, and count anew from the last frame of a drive."""
-    quiet = bus.quiet
+    quiet, counted = bus.quiet, shared.buses[bus.number]
     if quiet.adapter_words != quiet.adapter_words_before:
         quiet.adapter_words_before = quiet.adapter_words
         quiet.adapter_ns = loop.timing.now_ns
     if quiet.heard_ns != quiet.heard_before_ns:
         quiet.heard_before_ns = quiet.heard_ns
         quiet.away_ns = 0
-        quiet.bytes_unsent = quiet.unacknowledged = quiet.error_frames = quiet.frames_received = 0
+        quiet.bytes_unsent, quiet.frames_received = counted.bytes_unsent, counted.frames_received
+        quiet.unacknowledged, quiet.error_frames = counted.unacknowledged, counted.error_frames
 
 
 @jit
-def evidence(loop: Loop, bus: Bus) -> int:
+def evidence(loop: Loop, shared: StateFile, bus: Bus) -> int:
     """Bits of shm.words.Evidence since the last frame of a drive on this bus."""
-    timing, params, quiet = loop.timing, loop.params, bus.quiet
+    timing, params, quiet, counted = loop.timing, loop.params, bus.quiet, shared.buses[bus.number]
     found = 0
     if timing.now_ns - quiet.heard_ns <= params.stale_brake_ns:
         found |= _HEARD
@@ -41,13 +43,13 @@ def evidence(loop: Loop, bus: Bus) -> int:
         found |= _ADAPTER_ANSWERS
     elif is_mute(loop, bus):
         found |= _ADAPTER_MUTE
-    if quiet.bytes_unsent > 0:
+    if counted.bytes_unsent > quiet.bytes_unsent:
         found |= _NOT_TAKEN
-    if quiet.unacknowledged > 0:
+    if counted.unacknowledged > quiet.unacknowledged:
         found |= _UNACKNOWLEDGED
-    elif quiet.error_frames > 0 or bus.state != BusState.ACTIVE:
+    elif counted.error_frames > quiet.error_frames or counted.bus_state != BusState.ACTIVE:
         found |= _BUS_ERRORS
-    if quiet.frames_received * params.period_ns >= bus.joint_count * params.stale_fault_ns:
+    if (counted.frames_received - quiet.frames_received) * params.period_ns >= bus.joint_count * params.stale_fault_ns:
         found |= _BABBLE
     if quiet.away_ns >= params.stale_brake_ns:
         found |= _CYCLE_LATE

@@ -9,6 +9,7 @@ from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED
 from rtloop.memory.link import TX_BYTES, Bus
 from rtloop.wire import framed
+from rtloop.wire.counted import count_wire_error
 from rtloop.wire.found import FRAME, NOTHING
 from shm.layout import StateFile
 
@@ -58,7 +59,7 @@ def next_frame(bus: Bus, shared: StateFile, end: int) -> tuple[int, int, int, in
         if found == framed.SOUND:
             return FRAME, frame_id, EXTENDED, length, data
         if found == framed.WRONG:
-            shared.counters.wire_errors += 1
+            count_wire_error(shared, bus)
     return NOTHING, 0, 0, 0, 0
 
 

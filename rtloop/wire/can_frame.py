@@ -8,6 +8,7 @@ from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.link import CAN_FRAME_BYTES, RX_BYTES, TX_BYTES, WIRE_PYTHON_CAN, WIRE_SOCKETCAN, Bus
 from rtloop.wire.can_words import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
+from rtloop.wire.counted import count_wire_error
 from rtloop.wire.found import CONTROLLER_ERROR, FRAME, NOTHING
 from shm.layout import StateFile
 
@@ -111,5 +112,5 @@ def next_frame(bus: Bus, shared: StateFile, end: int) -> tuple[int, int, int, in
         if record == RECORD_ERROR:
             return CONTROLLER_ERROR, frame_id, kind, length, data
         if record == RECORD_WRONG:
-            shared.counters.wire_errors += 1
+            count_wire_error(shared, bus)
     return NOTHING, 0, 0, 0, 0

@@ -16,6 +16,7 @@ from rtloop.memory.state import Loop
 from rtloop.memory.updates import stop_came_back
 from rtloop.wire import can_frame, wires
 from rtloop.wire.can_words import JOINED, STOP
+from rtloop.wire.counted import count_sent, count_unsent
 from shm.layout import StateFile
 
 LONGEST_FRAME_BYTES = SLCAN_LONGEST_LINE
@@ -53,8 +54,7 @@ def send(
         return False
     bits = frame_bits(kind, length)
     bus.outgoing.bits += bits
-    shared.counters.bits_on_bus += bits
-    shared.counters.frames_sent += 1
+    count_sent(shared, bus, 1, bits)
     bus.unheard_frames += 1
     return True
 
@@ -133,13 +133,13 @@ def keep(loop: Loop, shared: StateFile, bus: Bus, sent: int, first: int, end: in
     ends = outgoing.ends
     left = ends[end - 1] - sent if end > first else 0
     count_unsent(shared, bus, outgoing.length - sent - left)
-    shared.counters.frames_sent -= outgoing.frames - end
     bus.unheard_frames -= outgoing.frames - end
     for frame in range(first):
         marks = SENT | marks_of(outgoing.kinds[frame])
         record_frame(
             loop,
             shared,
+            bus.number,
             loop.timing.now_ns,
             outgoing.ids[frame],
             marks,
@@ -147,7 +147,7 @@ def keep(loop: Loop, shared: StateFile, bus: Bus, sent: int, first: int, end: in
             outgoing.payloads[frame],
         )
     for frame in range(end, outgoing.frames):
-        shared.counters.bits_on_bus -= frame_bits(outgoing.kinds[frame], outgoing.sizes[frame])
+        count_sent(shared, bus, -1, -frame_bits(outgoing.kinds[frame], outgoing.sizes[frame]))
         if outgoing.stops[frame] >= 0:
             stop_came_back(loop.axes[outgoing.stops[frame]])
     if sent > 0:
@@ -166,13 +166,6 @@ def keep(loop: Loop, shared: StateFile, bus: Bus, sent: int, first: int, end: in
 
 
 @jit
-def count_unsent(shared: StateFile, bus: Bus, unsent: int) -> None:
-    """Count bytes that the wire did not take."""
-    shared.counters.bytes_unsent += unsent
-    bus.quiet.bytes_unsent += unsent
-
-
-@jit
 def take_back(shared: StateFile, bus: Bus, unsent: int) -> None:
     """Correct the counters for bytes that the wire took and did not send after all.
 
@@ -182,7 +175,7 @@ def take_back(shared: StateFile, bus: Bus, unsent: int) -> None:
     bus.outgoing.unsent_taken_back = unsent
     count_unsent(shared, bus, more)
     shared.counters.bytes_sent -= more
-    shared.counters.frames_sent -= more // CAN_FRAME_BYTES
+    count_sent(shared, bus, -(more // CAN_FRAME_BYTES), 0)
 
 
 @jit

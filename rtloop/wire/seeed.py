@@ -10,6 +10,7 @@ from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.link import TX_BYTES, Bus
 from rtloop.wire import framed
+from rtloop.wire.counted import count_wire_error
 from rtloop.wire.found import FRAME, NOTHING
 from shm.layout import StateFile
 
@@ -60,7 +61,7 @@ def next_frame(bus: Bus, shared: StateFile, end: int) -> tuple[int, int, int, in
         if found == framed.SOUND:
             return FRAME, frame_id, kind, length, data
         if found == framed.WRONG:
-            shared.counters.wire_errors += 1
+            count_wire_error(shared, bus)
     return NOTHING, 0, 0, 0, 0
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from compilation.jit import jit
 from rtloop.memory.frame_words import EXTENDED, REMOTE, STANDARD
 from rtloop.memory.link import LINE_BYTES, RX_BYTES, SLCAN_LONGEST_LINE, TX_BYTES, Bus
+from rtloop.wire.counted import count_wire_error
 from rtloop.wire.found import FRAME, NOTHING
 from shm.layout import StateFile
 
@@ -128,7 +129,7 @@ def next_frame(bus: Bus, shared: StateFile, end: int) -> tuple[int, int, int, in
     for at in range(parser.bytes_taken, end):
         byte = ring[at & (RX_BYTES - 1)]
         if byte == BEL:
-            shared.counters.wire_errors += 1
+            count_wire_error(shared, bus)
             bus.quiet.adapter_words += 1
             parser.line_length = parser.line_spoilt = 0
         elif collect(bus, byte):
@@ -140,7 +141,7 @@ def next_frame(bus: Bus, shared: StateFile, end: int) -> tuple[int, int, int, in
                 parser.bytes_taken = at + 1
                 return FRAME, frame_id, kind, length, data
             if line == LINE_WRONG:
-                shared.counters.wire_errors += 1
+                count_wire_error(shared, bus)
             else:
                 bus.quiet.adapter_words += 1
     parser.bytes_taken = end

@@ -226,10 +226,10 @@ def test_bus_load_is_that_since_the_last_report(stage, operator):
         loop.state["counters"]["bits_on_bus"] += 500_000 * loop.period_ns // 2 // 10**9
 
     stage.loop.cycle_hook = half_a_bus
-    stage.loop.state["header"]["bitrate"] = 500_000
+    stage.loop.state["header"]["bitrates"][0] = 500_000
     heard = operator.listen(DiagnosticArray, "/diagnostics")
     until(lambda: len(heard) > 2, "three reports")
-    stage.loop.state["header"]["bitrate"] = 0
+    stage.loop.state["header"]["bitrates"][0] = 0
     bus = latest(heard, stage.arm.name)["bus"]
     assert bus.level == DiagnosticStatus.OK and bus.message == f"load {values(bus)['load']}"
     assert float(values(bus)["load"].removesuffix("%")) == pytest.approx(50.0, rel=0.1)

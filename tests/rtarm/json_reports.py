@@ -15,7 +15,7 @@ from unittest.mock import patch
 
 import numpy as np
 from hand_readings import limits
-from recorded import a_recording
+from recorded import TWO_BUSES, a_recording
 from typer.testing import CliRunner
 from written_arm import WrittenArm
 
@@ -81,8 +81,8 @@ def printed(*arguments: str) -> Any:
 
 
 def of_status() -> Reports:
-    """Of an arm with a goal, a result, a latched fault and a gripper; and of none."""
-    arm = WrittenArm(f"names_{os.getpid()}")
+    """Of an arm with two buses, a goal, a result, a latched fault and a gripper; and of none."""
+    arm = WrittenArm(f"names_{os.getpid()}", TWO_BUSES)
     try:
         now_ns = time.monotonic_ns()
         arm.snapshot["goal_id"], arm.snapshot["goal_phase"] = 2, Phase.RUNNING

@@ -13,14 +13,17 @@ from written_arm import JOINTS, PERIOD_NS
 from rtarm.recording import mcap_writer
 from rtarm.recording.mcap_format import Loaded, Reason
 from shm import layout
+from shm.files import Bus
 from shm.recording import Recording, record_dtype
 from shm.words import Event, Fault, Mode
 
 START_NS = 1_000_000_000
 REASON = Reason("fault", "A wire was pulled.")
+ONE_BUS = (Bus("", 500_000),)
+TWO_BUSES = (Bus("upper", 500_000), Bus("lower", 1_000_000))
 
 
-def loaded() -> Loaded:
+def loaded(buses: tuple[Bus, ...] = ONE_BUS) -> Loaded:
     """Three cycles, in the last of which a fault is latched."""
     records = np.zeros(3, record_dtype(len(JOINTS)))
     records["number"] = records["cycle"] = np.arange(1, 4)
@@ -35,7 +38,7 @@ def loaded() -> Loaded:
         arm_hash=7,
         pid=1,
         period_ns=PERIOD_NS,
-        bitrate=500_000,
+        buses=buses,
         records=records,
         frames=np.zeros(0, layout.BusFrame.dtype),
         events=events,
@@ -49,9 +52,9 @@ def loaded() -> Loaded:
 
 
 @contextmanager
-def a_recording() -> Iterator[Path]:
+def a_recording(buses: tuple[Bus, ...] = ONE_BUS) -> Iterator[Path]:
     """The same as a file, for a while."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "recorded.mcap")
-        mcap_writer.write(loaded().recording, REASON, path)
+        mcap_writer.write(loaded(buses).recording, REASON, path)
         yield path

@@ -18,7 +18,7 @@ from typing import Any, get_args
 
 from json_reports import REPORTS, keys_of
 from mcap.reader import make_reader
-from recorded import a_recording
+from recorded import TWO_BUSES, a_recording
 
 import rosfront.gripper.hook
 import rtarm
@@ -77,8 +77,8 @@ def of_json() -> Iterator[str]:
 
 
 def of_recordings() -> Iterator[str]:
-    """Channels of a recording with the fields of their messages, and the metadata."""
-    with a_recording() as path, path.open("rb") as file:
+    """Channels of a recording of an arm with two buses, with the fields of their messages, and the metadata."""
+    with a_recording(TWO_BUSES) as path, path.open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
         assert summary is not None

@@ -22,9 +22,9 @@ PERIOD_NS = 10_000_000
 class WrittenArm:
     """Both files of a two-joint arm, held as its control process would; `publish` shows a snapshot."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, buses: tuple[files.Bus, ...] = (files.Bus("", 500_000),)) -> None:
         self.name = name
-        identity = files.Identity(name, JOINTS, arm_hash=7, period_ns=PERIOD_NS, bitrate=500_000)
+        identity = files.Identity(name, JOINTS, arm_hash=7, period_ns=PERIOD_NS, buses=buses)
         self.files = files.create(identity)
         self.state = self.files.state.record
         self.command = self.files.command.record

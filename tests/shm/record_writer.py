@@ -34,7 +34,7 @@ def record_one(loop: Any, shared: Any, number: int, words: int) -> None:
     loop.snapshot.crc = crc32_at(source + 8, words - 1)
     loop.timing.lateness_ns = loop.timing.cycle_time_ns = number
     record_cycle(loop, shared)
-    record_frame(loop, shared, number, number & 0x1FFFFFFF, 0, number & 7, number)
+    record_frame(loop, shared, 0, number, number & 0x1FFFFFFF, 0, number & 7, number)
 
 
 @jit
@@ -47,7 +47,9 @@ def record_without_end(loop: Any, shared: Any, words: int) -> None:
 
 def main(arm_name: str) -> None:
     arm = load_arm("mock")
-    identity = files.Identity(arm_name, tuple(joint.name for joint in arm.joints), 1, PERIOD_NS, 500_000)
+    identity = files.Identity(
+        arm_name, tuple(joint.name for joint in arm.joints), 1, PERIOD_NS, (files.Bus("", 500_000),)
+    )
     pair = files.create(identity)
     loop = new_loop(arm, pair.state.address, pair.command.address)
     words = layout.used_bytes(layout.Snapshot, len(arm.joints)) // 8

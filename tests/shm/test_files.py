@@ -16,7 +16,7 @@ from waiting import ready_process
 
 from shm import files, layout
 from shm.errors import AlreadyHeld, NotPermitted, NotRunning, WrongArm, WrongLayout
-from shm.files import Identity
+from shm.files import Bus, Identity
 
 ROOT = Path(__file__).resolve().parents[2]
 ARM_HASH = 0x1234_5678_9ABC
@@ -26,7 +26,7 @@ FIXED = layout.StateFile.dtype.itemsize
 
 
 def identity(arm):
-    return Identity(arm, ("shoulder", "ellbögen"), ARM_HASH, PERIOD_NS, BITRATE)
+    return Identity(arm, ("shoulder", "ellbögen"), ARM_HASH, PERIOD_NS, (Bus("", BITRATE),))
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def test_files_are_private_complete_and_described(created, arm_name):
         header = memory.record["header"]
         assert header["magic"] == layout.MAGIC and header["layout_hash"] == layout.layout_hash()
         assert header["arm_hash"] == ARM_HASH and header["pid"] == os.getpid()
-        assert header["period_ns"] == 8_333_333 and header["bitrate"] == 500_000
+        assert header["period_ns"] == 8_333_333 and header["bitrates"].tolist() == [500_000, 0, 0, 0]
         assert files.arm_name(header) == arm_name
         assert files.joint_names(header) == ("shoulder", "ellbögen")
     assert len(left_of(arm_name)) == 2

@@ -5,7 +5,8 @@ import copy
 import numpy as np
 import pytest
 
-from shm import layout
+from config.buses import MOST_BUSES
+from shm import layout, recording
 from shm.record import offset_of
 
 UNITS = {
@@ -14,7 +15,7 @@ UNITS = {
     "rad": "rad",
     "rad_s": "rad/s",
     "rad_s2": "rad/s²",
-    "bitrate": "bit/s",
+    "bitrates": "bit/s",
     "bits_on_bus": "bit",
     "temperature_c": "°C",
     "voltage_v": "V",
@@ -23,7 +24,7 @@ UNITS = {
 
 POLLED = {
     layout.StateFile: (
-        *("consumed", "snapshot_sequence", "counters"),
+        *("consumed", "snapshot_sequence", "counters", "buses"),
         *("events_written", "records_written", "frames_written"),
     ),
     layout.CommandFile: ("front_pid", "heartbeat_ns", "announced_goal", "setpoints_written", "requests_written"),
@@ -135,6 +136,18 @@ def test_the_recorder_keeps_half_a_minute_of_any_arm(joints, rate_hz):
     assert rings.record_bytes == layout.used_bytes(layout.CycleRecord, joints)
     assert (layout.StateFile.dtype.itemsize % layout.LINE_BYTES, rings.file_bytes % 8) == (0, 0)
     assert layout.rings(joints, round(1e9 / rate_hz), 0).frame_slots == 0
+    several = layout.rings(joints, round(1e9 / rate_hz), 500_000, 1_000_000, 500_000, 0)
+    assert several.frame_slots >= rings.record_slots * (4 * joints + 2 * 3)
+    assert several.record_slots == rings.record_slots
+
+
+def test_a_bus_counts_what_all_of_them_count_together():
+    assert set(layout.BusCounters.words) - {"padding"} <= set(layout.Counted.words)
+
+
+def test_no_arm_may_have_more_buses_than_there_is_room_for():
+    assert MOST_BUSES == layout.MAX_BUSES
+    assert layout.MAX_BUSES & recording.BUS_MASK == 0 and (layout.MAX_BUSES - 1) << recording.BUS_SHIFT < 2**63
 
 
 def test_trouble_on_the_bus_is_counted():

@@ -113,16 +113,17 @@ def test_a_spoilt_word_of_a_frame_is_noticed(words, at, change):
 def test_frames_are_read_as_they_were_recorded(small):
     loop, state = small
     sent = recorder.SENT | recorder.marks_of(frame_words.EXTENDED)
-    recorder.record_frame(loop[0], state.array[0], 5, 0x101, sent, 8, -3)
-    recorder.record_frame(loop[0], state.array[0], 6, 0x7FF, 0, 2, 0x6B36)
+    recorder.record_frame(loop[0], state.array[0], 3, 5, 0x101, sent, 8, -3)
+    recorder.record_frame(loop[0], state.array[0], 0, 6, 0x7FF, 0, 2, 0x6B36)
     first, second = read_recording(state).frames
-    assert first["head"] == 0x101 | 8 << recording.LENGTH_SHIFT | recording.SENT | recording.EXTENDED
+    marks = recording.SENT | recording.EXTENDED | 3 << recording.BUS_SHIFT
+    assert first["head"] == 0x101 | 8 << recording.LENGTH_SHIFT | marks
     assert (first["monotonic_ns"], first["data"]) == (5, -3)
     assert (second["monotonic_ns"], second["head"], second["data"]) == (6, 0x7FF | 2 << 32, 0x6B36)
     slots = int(state.record["recorder"]["frame_slots"])
     assert slots == SLOTS * 26
     for number in range(2, 3 * slots):
-        recorder.record_frame(loop[0], state.array[0], number, 1, 0, 1, number)
+        recorder.record_frame(loop[0], state.array[0], 0, number, 1, 0, 1, number)
     found = read_recording(state)
     assert found.frames["data"].tolist() == list(range(2 * slots + 1, 3 * slots))
     assert found.lost == 0

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.joint import JointConfig
-from shm.recording import IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, SENT
+from shm.recording import BUS_MASK, BUS_SHIFT, IDENTIFIER_MASK, LENGTH_MASK, LENGTH_SHIFT, SENT
 
 LATE_S = 2e-3
 """Allowed delay besides the time on the wires: a USB adapter transfers once a millisecond, in each direction."""
@@ -83,6 +83,8 @@ class Said(NamedTuple):
     data: bytes
     sent: bool
     """True: the host sent it in the cycle of `time_ns`; False: it arrived at `time_ns`."""
+    bus: int
+    """Number of the bus it was on."""
 
 
 def frames_of(recorded: np.ndarray) -> list[Said]:
@@ -93,6 +95,7 @@ def frames_of(recorded: np.ndarray) -> list[Said]:
             int(row["head"]) & IDENTIFIER_MASK,
             int(row["data"]).to_bytes(8, "little", signed=True)[: int(row["head"]) >> LENGTH_SHIFT & LENGTH_MASK],
             bool(int(row["head"]) & SENT),
+            int(row["head"]) >> BUS_SHIFT & BUS_MASK,
         )
         for row in recorded
     ]

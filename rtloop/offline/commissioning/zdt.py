@@ -72,8 +72,9 @@ def _version(drive: Drive) -> Answered[Version]:
 
 def _of_joint(bench: Bench, joint: int) -> list[Said]:
     """The recorded frames to and from the joint's drive since the last call."""
-    number = bench.arm.joints[joint].drive.number
-    return [frame for frame in bench.frames() if frame.id >> 8 == number]
+    config = bench.arm.joints[joint]
+    whose = bench.arm.bus_number(config), config.drive.number
+    return [frame for frame in bench.frames() if (frame.bus, frame.id >> 8) == whose]
 
 
 def _answers(bench: Bench, joint: int, _: int) -> list[Finding]:

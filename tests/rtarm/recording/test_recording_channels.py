@@ -110,7 +110,7 @@ def test_statistics_sum_up_each_second(paused: Recording, a_file: Path) -> None:
     assert second["cycles_per_s"] == pytest.approx(1e9 / paused.period_ns, rel=1e-6)
     assert second["lateness_max_us"] == inside["lateness_ns"].max() * 1e-3
     bits = int(inside["bits_on_bus"][-1] - before["bits_on_bus"])
-    assert second["bus_load"] == pytest.approx(bits / span_s / paused.bitrate)
+    assert second["bus_load"] == pytest.approx(bits / span_s / paused.buses[0].bitrate)
     assert 0.0 < second["bus_load"] < 1.0
     sent = int(inside["frames_sent"][-1] - before["frames_sent"])
     assert second["frames_sent_per_s"] == pytest.approx(sent / span_s)
@@ -120,7 +120,7 @@ def test_statistics_sum_up_each_second(paused: Recording, a_file: Path) -> None:
 @pytest.mark.parametrize("size", [1, 7, 119, 1000])
 def test_statistics_are_the_same_however_the_cycles_come(paused: Recording, size: int) -> None:
     def told(size: int) -> list[Any]:
-        seconds = Seconds(paused.bitrate)
+        seconds = Seconds(paused.buses[0].bitrate)
         records = paused.records
         pieces = [records[at : at + size] for at in range(0, len(records), size)]
         return [one for piece in pieces for one in seconds.add(piece)] + list(seconds.rest())
@@ -129,7 +129,7 @@ def test_statistics_are_the_same_however_the_cycles_come(paused: Recording, size
 
 
 def test_statistics_of_a_gap_say_how_much_is_missing(paused: Recording) -> None:
-    seconds = Seconds(paused.bitrate)
+    seconds = Seconds(paused.buses[0].bitrate)
     kept = np.delete(paused.records, slice(130, 140))
     found = [*seconds.add(kept), *seconds.rest()]
     assert sum(one.content["cycles_not_recorded"] for one in found) == 10

@@ -43,6 +43,7 @@ from rtarm.recording.playback import Playback
 from rtarm.top.picture import Picture
 from rtloop.wire.slcan import BEL
 from shm import files, layout
+from shm.files import Bus
 from shm.recording import Recording
 from shm.words import BusState, DriveStatus, Event, Fault, Mode, Outcome
 from sim.faults import PowerLoss, Stall
@@ -120,7 +121,7 @@ def test_what_is_read_is_what_was_written(power_loss: Recording, a_file: Path) -
     loaded = mcap_reader.read(a_file)
     assert (loaded.damage, loaded.reason) == ("", Reason("fault", "joint2 has not answered."))
     found = loaded.recording
-    for name in ("arm", "joints", "arm_hash", "pid", "period_ns", "bitrate", "lost"):
+    for name in ("arm", "joints", "arm_hash", "pid", "period_ns", "buses", "lost"):
         assert getattr(found, name) == getattr(power_loss, name), name
     for name in set(power_loss.records.dtype.names) - {"crc", "decisions_crc"}:  # check sums of the ring itself
         assert found.records[name].tobytes() == power_loss.records[name].tobytes(), name
@@ -519,7 +520,10 @@ def test_what_the_drives_did_after_a_death_is_said_of_drives_that_moved(
 ) -> None:
     records = power_loss.records[power_loss.records["fault"] == Fault.NONE].copy()
     records["joints"]["commanded_velocity_rad_s"][-1] = [0.0] * 5 + [velocity_rad_s]
-    found = told(Recording(**{**vars(power_loss), "records": records, "bitrate": bitrate}), Reason("death", "It died."))
+    found = told(
+        Recording(**{**vars(power_loss), "records": records, "buses": (Bus("", bitrate),) if bitrate else ()}),
+        Reason("death", "It died."),
+    )
     assert found.verdict[0].endswith(f"(killed, or by a defect); {then}")
 
 

@@ -217,10 +217,11 @@ def test_percentiles_counters_and_scheduling(arm: WrittenArm) -> None:
     assert found["p99"] == pytest.approx(99.0, rel=0.04)
     assert (found["max"], found["count"]) == (100.0, 100)
 
-    arm.state["counters"]["bits_on_bus"] = 400_000
-    bus = status.counters(arm.state["counters"], 500_000, 1_000_000_000)["bus"]
-    assert bus["load"] == pytest.approx(0.8)
-    assert status.counters(arm.state["counters"], 0, 1_000_000_000)["bus"]["load"] is None
+    arm.state["buses"]["bits_on_bus"][0] = 400_000
+    buses = status.counted_buses(arm.state)
+    found = status.counters(arm.state["counters"], buses, 1_000_000_000)
+    assert found["bus"]["load"] == pytest.approx(0.8) and "buses" not in found
+    assert status.counters(arm.state["counters"], [], 1_000_000_000)["bus"]["load"] is None
 
     real_time = arm.state["scheduling"]
     real_time["policy"], real_time["priority"], real_time["memory_locked"], real_time["cpu"] = 1, 80, 1, 3

@@ -54,6 +54,7 @@ from rtarm.view.source import LiveArm, RecordedArm
 from rtarm.view.words import CHINESE, ENGLISH, WORDS
 from shm import files, layout
 from shm.client import CommandWriter, StateReader
+from shm.files import Bus
 from shm.recording import Recording, record_dtype
 from shm.words import Entry, Fault, Mode
 
@@ -378,7 +379,7 @@ def recording() -> Iterator[Recording]:
         arm_hash=7,
         pid=1,
         period_ns=10_000_000,
-        bitrate=500_000,
+        buses=(Bus("", 500_000),),
         records=records,
         frames=np.zeros(0, layout.BusFrame.dtype),
         events=np.zeros(0, layout.Event.dtype),
