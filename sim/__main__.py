@@ -7,8 +7,8 @@ file is written at the end. With `--truth-window-s` it holds that many seconds, 
 `--faults-from-stdin` every line that comes in is a fault, its times counted from that moment, answered by
 `fault <line>`, or by `refused <sentence>`. With `--hand` somebody leads the arm whenever it is limp.
 
-Of an arm with several buses one process simulates one (`--bus`), with the drives on it; `--start-deg` and `--hand` are of
-the whole arm all the same.
+Of an arm with several buses one process simulates one (`--bus`), with the drives on it; `--start-deg` and `--hand` are
+of the whole arm all the same.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ def divided(name: str, bus: dict[str, Any] | None = None) -> ArmConfig:
     return ArmConfig.model_validate(divided_values(name, bus))
 
 
-def write_divided(name: str, file: Path, bus: dict[str, Any] | None = None, **changes: Any) -> Path:
+def write_divided(name: str, file: Path, bus: dict[str, Any] | None = None, /, **changes: Any) -> Path:
     """The arm's file; `changes`: sections and fields that take the place of the arm's own."""
     file.write_text(yaml.safe_dump(divided_values(name, bus) | changes, sort_keys=False), encoding="utf-8")
     return file

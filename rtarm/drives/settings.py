@@ -222,9 +222,7 @@ def unread(arm: ArmConfig) -> list[str]:
 def render(arm: ArmConfig, report: Report) -> RenderableType:
     """Drives side by side, then every sentence."""
     drives = report["drives"]
-    parts: list[RenderableType] = [
-        Text(f"{arm.name}: {len(drives)} drives, {places(arm.buses)}", style="bold")
-    ]
+    parts: list[RenderableType] = [Text(f"{arm.name}: {len(drives)} drives, {places(arm.buses)}", style="bold")]
     family_of = {joint.name: joint.drive.family for joint in arm.joints}
     for family in dict.fromkeys(family_of[drive["joint"]] for drive in drives):
         parts.append(_table([drive for drive in drives if family_of[drive["joint"]] == family]))
