@@ -283,7 +283,8 @@ def _refuse_one_adapter_for_all(for_each: Mapping[str, Any], names: Sequence[str
     if given and len(names) > 1:
         raise ConfigError(
             f"bus.{given[0]} is for every bus, but each of the arm's buses ({', '.join(names)}) has an adapter of its "
-            f"own; write it in the arm file, or name the bus, as in `--set bus.{names[0]}.{given[0]}`."
+            f"own; write it in the arm file, or name the bus where --set is an option, as in `--set "
+            f"bus.{names[0]}.{given[0]}`."
         )
 
 

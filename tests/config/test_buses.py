@@ -266,12 +266,14 @@ def test_an_adapter_s_number_takes_the_place_of_its_channel_on_its_bus(file: Pat
         (
             "bus.channel=/dev/x",
             "bus.channel=/dev/x is for every bus, but each of the arm's buses (shoulder, wrist) has an adapter of its "
-            "own; write it in the arm file, or name the bus, as in `--set bus.shoulder.channel=/dev/x`.",
+            "own; write it in the arm file, or name the bus where --set is an option, as in `--set "
+            "bus.shoulder.channel=/dev/x`.",
         ),
         (
             "bus.usb_index=1",
             "bus.usb_index=1 is for every bus, but each of the arm's buses (shoulder, wrist) has an adapter of its "
-            "own; write it in the arm file, or name the bus, as in `--set bus.shoulder.usb_index=1`.",
+            "own; write it in the arm file, or name the bus where --set is an option, as in `--set "
+            "bus.shoulder.usb_index=1`.",
         ),
         (
             "bus.wrist=can0",
