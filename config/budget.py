@@ -52,7 +52,7 @@ def cycle_of(drives: Sequence[Drive], bus: BusConfig) -> tuple[CycleFrames, ...]
 
 
 def cycle_frames(arm: ArmConfig) -> tuple[CycleFrames, ...]:
-    """The frames of one control cycle of this arm; none with mock drives."""
+    """The frames of one control cycle of an arm with one bus; none with mock drives."""
     return cycle_of([joint.drive for joint in arm.joints], arm.bus)
 
 
@@ -188,7 +188,16 @@ def _chars_in(frames: tuple[CycleFrames, ...], adapter: SerialAdapter) -> int:
 
 
 def budget(arm: ArmConfig) -> Budget:
-    """The load of the arm's control cycle at its control rate."""
+    """The load of the arm's control cycle at its control rate; of several buses', that of the tightest one."""
+    return min(budgets(arm), key=lambda found: found.highest_rate_hz)
+
+
+def budgets(arm: ArmConfig) -> list[Budget]:
+    """The load of the arm's control cycle on each of its buses."""
+    return [_of_one_bus(part) for part in arm.parts]
+
+
+def _of_one_bus(arm: ArmConfig) -> Budget:
     baud = arm.bus.serial_baud
     adapter = SERIAL_ADAPTERS.get(arm.bus.interface)
     return Budget(
@@ -203,27 +212,34 @@ def budget(arm: ArmConfig) -> Budget:
 
 
 def check_budget(arm: ArmConfig) -> Budget:
-    """The budget of an arm whose rate fits.
+    """The budget (`budget`) of an arm whose rate fits.
 
     Raises:
-        ConfigError: the bus, the serial line or both cannot carry the control rate; the sentence holds
+        ConfigError: a bus, its serial line or both cannot carry the control rate; the sentences hold
             the arithmetic and the highest rate that fits.
     """
-    found = budget(arm)
+    sentences = [sentence for part in arm.parts for sentence in _problems(part, several=len(arm.buses) > 1)]
+    if sentences:
+        raise ConfigError.of([_at_rate(arm, sentence) for sentence in sentences])
+    return budget(arm)
+
+
+def _problems(arm: ArmConfig, *, several: bool) -> list[str]:
+    """What a bus, that of `arm`, or its serial line does not carry: a sentence each, which names it among several."""
+    found = _of_one_bus(arm)
+    key, more = (f"bus.{arm.bus.name}", "buses") if several else ("bus", "arms")
     sentences: list[str] = []
     if found.rate_hz > found.bus_highest_rate_hz:
-        sentences.append(_bus_sentence(found, arm))
+        sentences.append(_bus_sentence(found, arm, key))
     if found.rate_hz > found.serial_highest_rate_hz:
-        sentences.append(_serial_sentence(found))
+        sentences.append(_serial_sentence(found, key))
     at_once = sum(frames.count for frames in found.frames if frames.from_host)
     if arm.bus.spoken == "slcan" and at_once > ADAPTER_FRAMES:
         sentences.append(
             f"a cycle sends {at_once} frames at once, but a serial adapter holds back {ADAPTER_FRAMES} and loses the "
-            "rest; set bus.interface to socketcan, or divide the joints among more arms."
+            f"rest; set {key}.interface to socketcan, or divide the joints among more {more}."
         )
-    if sentences:
-        raise ConfigError.of([_at_rate(arm, sentence) for sentence in sentences])
-    return found
+    return [f"on bus {arm.bus.name}, {sentence}" for sentence in sentences] if several else sentences
 
 
 def shown_rate(rate_hz: float) -> str:
@@ -231,8 +247,8 @@ def shown_rate(rate_hz: float) -> str:
     return f"{math.floor(rate_hz * 10.0) / 10.0:g}"
 
 
-def _bus_sentence(found: Budget, arm: ArmConfig) -> str:
-    ways = [f"use a faster bus (bus.bitrate, up to {HIGHEST_BITRATE})"] if found.bitrate < HIGHEST_BITRATE else []
+def _bus_sentence(found: Budget, arm: ArmConfig, key: str) -> str:
+    ways = [f"use a faster bus ({key}.bitrate, up to {HIGHEST_BITRATE})"] if found.bitrate < HIGHEST_BITRATE else []
     if arm.bus.acknowledge:
         ways.append("turn bus.acknowledge off")
     beside = f" + {found.bits_beside_s:.0f} bit/s for {found.beside_words}" if found.beside else ""
@@ -244,12 +260,12 @@ def _bus_sentence(found: Budget, arm: ArmConfig) -> str:
     )
 
 
-def _serial_sentence(found: Budget) -> str:
+def _serial_sentence(found: Budget, key: str) -> str:
     chars = max(found.chars_out_per_cycle, found.chars_in_per_cycle)
     load = found.serial_load or 0.0
     beside = f" + {found.serial_bits_beside_s:.0f} bit/s beside it" if found.beside else ""
     faster = [baud for baud in SERIAL_BAUDS if baud >= found.serial_baud_needed]
-    ways = [f"set adapter and bus.serial_baud to {faster[0]}"] if faster else ["use an adapter without UART (cdc)"]
+    ways = [f"set adapter and {key}.serial_baud to {faster[0]}"] if faster else ["use an adapter without UART (cdc)"]
     return (
         f"rate_hz is {found.rate_hz:g}, but {chars} {found.adapter.unit} a cycle × {UART_BITS_PER_CHARACTER} bits × "
         f"{found.rate_hz:g} Hz{beside} = "

@@ -100,3 +100,9 @@ def _is_on_one(field: str, whose: str, name: str | None, buses: Sequence[BusConf
 def bus_number(buses: Sequence[BusConfig], name: str | None) -> int:
     """The place in the list of the bus of this name; without a name it is the only one."""
     return 0 if name is None else next(number for number, bus in enumerate(buses) if bus.name == name)
+
+
+def places(buses: Sequence[BusConfig]) -> str:
+    """Where the bus of an arm is reached, for people; with several, where each of them is."""
+    channels = [bus.resolved_channel if bus.name is None else f"{bus.resolved_channel} ({bus.name})" for bus in buses]
+    return f"{buses[0].interface} on {', '.join(channels)}"

@@ -13,7 +13,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from config.budget import UART_LOAD_LIMIT, Budget, budget, shown_rate
+from config.budget import UART_LOAD_LIMIT, Budget, budget, budgets, shown_rate
+from config.bus import BusConfig
+from config.buses import places
 from config.derived import DerivedJoint, derived_table
 from config.errors import ConfigError
 from config.joint import JointConfig
@@ -24,7 +26,7 @@ from config.serial_adapters import SERIAL_ADAPTERS
 def render_check(arm: ArmConfig) -> RenderableType:
     """The derived tables of an arm and its bus budget, whether it fits or not; 80 columns are enough."""
     joints = derived_table(arm)
-    heading = f"{arm.name}: {len(joints)} joints, {arm.bus.interface} on {arm.bus.resolved_channel}"
+    heading = f"{arm.name}: {len(joints)} joints, {places(arm.buses)}"
     parts: list[RenderableType] = [
         Text(heading, style="bold"),
         limits_table(joints),
@@ -40,7 +42,7 @@ def render_check(arm: ArmConfig) -> RenderableType:
     if any(drive_settings(joint) for joint in arm.joints):
         parts.append(settings_table(arm.joints))
     parts.append(Text(f"Every stop on the path ends within {arm.longest_stop_s:.1f} s.\n"))
-    parts.append(budget_table(arm, budget(arm)))
+    parts += [budget_table(part, found) for part, found in zip(arm.parts, budgets(arm), strict=True)]
     parts += [Text(note, style="yellow") for note in notes(arm)]
     return Group(*parts)
 
@@ -73,21 +75,33 @@ def _counting_anew(joint: JointConfig) -> str:
 
 
 def figures(arm: ArmConfig) -> dict[str, Any]:
-    """The same as plain values; a rate that nothing limits is None."""
-    found = budget(arm)
-    highest_hz = found.highest_rate_hz
+    """The same as plain values; a rate that nothing limits is None.
+
+    Of an arm with several buses, its bus and its rates are those of the tightest one, and `buses` has all of them.
+    """
+    found = budgets(arm)
+    tightest = found.index(budget(arm))
+    buses = [{"name": bus.name, **_of_a_bus(bus, load)} for bus, load in zip(arm.buses, found, strict=True)]
     return {
         "arm": arm.name,
-        "interface": arm.bus.interface,
-        "channel": arm.bus.resolved_channel,
+        **_of_a_bus(arm.buses[tightest], found[tightest]),
+        "longest_stop_s": arm.longest_stop_s,
+        "notes": notes(arm),
+        "joints": [asdict(joint) for joint in derived_table(arm)],
+        **({"buses": buses} if len(buses) > 1 else {}),
+    }
+
+
+def _of_a_bus(bus: BusConfig, found: Budget) -> dict[str, Any]:
+    highest_hz = found.highest_rate_hz
+    return {
+        "interface": bus.interface,
+        "channel": bus.resolved_channel,
         "rate_hz": found.rate_hz,
         "highest_rate_hz": highest_hz if math.isfinite(highest_hz) else None,
         "bus_load": found.bus_load,
         "serial_load": found.serial_load,
         "frames_per_cycle": found.frames_per_cycle,
-        "longest_stop_s": arm.longest_stop_s,
-        "notes": notes(arm),
-        "joints": [asdict(joint) for joint in derived_table(arm)],
     }
 
 
@@ -175,7 +189,8 @@ def settings_table(joints: Iterable[JointConfig]) -> Table:
 
 def budget_table(arm: ArmConfig, found: Budget) -> Table:
     """Load of the bus and of the serial line at the control rate, and the highest rate that fits."""
-    table = Table("Budget", "value", box=box.SIMPLE_HEAD, pad_edge=False)
+    title = "Budget" if arm.bus.name is None else f"Budget of bus {arm.bus.name}"
+    table = Table(title, "value", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_row("control rate", f"{found.rate_hz:g} Hz, a cycle every {arm.control.period_ns / 1e6:.3f} ms")
     if not found.frames:
         table.add_row("bus", "none: mock drives, no limit on the rate")

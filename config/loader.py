@@ -256,8 +256,9 @@ def _merge(
 
 def _merge_buses(below: Sequence[Any], above: Mapping[str, Any], overridden: set[str]) -> list[Any]:
     """The buses of a file with overrides: those under the name of a bus are for that one, all others for each."""
-    names = [bus.get("name") for bus in below if isinstance(bus, Mapping)]
+    names = _names(below)
     for_each = {key: value for key, value in above.items() if key not in names}
+    _refuse_one_adapter_for_all(for_each, names)
     merged = []
     for index, bus in enumerate(below):
         if not isinstance(bus, Mapping):
@@ -273,8 +274,22 @@ def _merge_buses(below: Sequence[Any], above: Mapping[str, Any], overridden: set
     return merged
 
 
+def _names(buses: Sequence[Any]) -> list[str]:
+    return [str(bus["name"]) for bus in buses if isinstance(bus, Mapping) and "name" in bus]
+
+
+def _refuse_one_adapter_for_all(for_each: Mapping[str, Any], names: Sequence[str]) -> None:
+    given = [f"{key}={for_each[key]}" for key in ("channel", "usb_index") if for_each.get(key) is not None]
+    if given and len(names) > 1:
+        raise ConfigError(
+            f"bus.{given[0]} is for every bus, but each of the arm's buses ({', '.join(names)}) has an adapter of its "
+            f"own; write it in the arm file, or name the bus where --set is an option, as in `--set "
+            f"bus.{names[0]}.{given[0]}`."
+        )
+
+
 def bus_names(name_or_path: str | Path) -> list[str]:
-    """Names of the buses of an arm file that has a list of them; none where it has one bus alone.
+    """Names of the buses of an arm file that has several; none where it has one.
 
     Raises:
         ConfigError: the file cannot be read.
@@ -282,4 +297,4 @@ def bus_names(name_or_path: str | Path) -> list[str]:
     path = arm_path(name_or_path)
     file = _display_name(path)
     buses = parse(_read(path, file), file)[1].get("bus")
-    return [str(bus.get("name")) for bus in buses if isinstance(bus, Mapping)] if isinstance(buses, list) else []
+    return _names(buses) if isinstance(buses, list) and len(buses) > 1 else []

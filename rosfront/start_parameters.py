@@ -54,13 +54,16 @@ def require_kind(name: str, value: Any, kind: type) -> None:
 
 
 def facts(arm: "ArmConfig") -> dict[str, Any]:
-    """The start parameters of a loaded arm; its configuration does not tell whether it is simulated."""
-    usb_index = arm.bus.usb_index
+    """The start parameters of a loaded arm; its configuration does not tell whether it is simulated.
+
+    With several buses no number stands for their adapters, and the channel is all of theirs.
+    """
+    usb_index = arm.bus.usb_index if len(arm.buses) == 1 else None
     return {
         "arm": arm.name,
         "sim": False,
         "usb_index": NO_USB_INDEX if usb_index is None else usb_index,
-        "channel": arm.bus.resolved_channel,
+        "channel": ", ".join(bus.resolved_channel for bus in arm.buses),
         "init_mode": arm.control.init_mode,
         "interpolation_factor": arm.trajectory.interpolation_factor,
         "publish_mode": JOINT_STATES,

@@ -6,6 +6,9 @@ opened. SIGUSR1 writes the true motion so far to the file given with `--truth` a
 file is written at the end. With `--truth-window-s` it holds that many seconds, and what is older is forgotten. With
 `--faults-from-stdin` every line that comes in is a fault, its times counted from that moment, answered by
 `fault <line>`, or by `refused <sentence>`. With `--hand` somebody leads the arm whenever it is limp.
+
+Of an arm with several buses one process simulates one (`--bus`), with the drives on it; `--start-deg` and `--hand` are
+of the whole arm all the same.
 """
 
 from __future__ import annotations
@@ -22,8 +25,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from config.errors import ConfigError
+from config.buses import bus_number
+from config.errors import ConfigError, did_you_mean
 from config.loader import load_arm, parse_overrides
+from config.schema import ArmConfig
 from sim.adapter import DIALECTS
 from sim.arm import SimulatedArm
 from sim.can_interface import CanInterface
@@ -47,17 +52,19 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         config = load_arm(options.arm, overrides=parse_overrides(options.set))
+        bus = _bus_number(config, options.bus)
+        part = config.parts[bus]
         arm = SimulatedArm(
-            config,
+            part,
             start_ns=time.monotonic_ns(),
-            joint_position_rad=_start(options.start_deg),
-            seed=options.seed,
+            joint_position_rad=_start_of(part, config, _start(options.start_deg)),
+            seed=options.seed + bus,
             faults=[parse_fault(text) for text in options.fault],
             dialect=options.dialect,
             firmware=options.firmware,
             odrive_firmware=options.odrive_firmware,
             homed=not options.unhomed,
-            hand=None if options.hand is None else load_guided(options.hand, [joint.name for joint in config.joints]),
+            hand=None if options.hand is None else load_guided(options.hand, _names(config)).of(_names(part)),
         )
         server = _server(arm, options)
     except (ConfigError, ValueError, OSError) as error:
@@ -70,6 +77,38 @@ def main(arguments: list[str] | None = None) -> int:
     with server:
         _serve(server, options.truth, options.truth_window_s, options.faults_from_stdin)
     return 0
+
+
+def _bus_number(arm: ArmConfig, name: str | None) -> int:
+    """Which of the arm's buses is simulated."""
+    names = [bus.name for bus in arm.buses if bus.name is not None]
+    if name is None and len(arm.buses) == 1:
+        return 0
+    if name is None:
+        raise ValueError(
+            f"arm {arm.name} has {len(names)} buses, and one process simulates one: give --bus with one of "
+            f"{', '.join(names)}, and start a process for each."
+        )
+    if name not in names:
+        allowed = f"has {', '.join(names)}; name one of them." if names else "has one without a name: leave --bus out."
+        raise ValueError(f"--bus is {name}, which is no bus of arm {arm.name}{did_you_mean(name, names)}; it {allowed}")
+    return bus_number(arm.buses, name)
+
+
+def _start_of(part: ArmConfig, arm: ArmConfig, angles_rad: list[float] | None) -> list[float] | None:
+    """Of the angles that were given for the whole arm those of the joints on one bus."""
+    if angles_rad is None or len(arm.buses) == 1:
+        return angles_rad
+    if len(angles_rad) != len(arm.joints):
+        raise ValueError(
+            f"--start-deg has {len(angles_rad)} angles, but arm {arm.name} has {len(arm.joints)} joints on all its "
+            "buses; give one for each."
+        )
+    return [angle for angle, name in zip(angles_rad, _names(arm), strict=True) if name in _names(part)]
+
+
+def _names(arm: ArmConfig) -> list[str]:
+    return [joint.name for joint in arm.joints]
 
 
 def _server(arm: SimulatedArm, options: argparse.Namespace) -> Server:
@@ -189,6 +228,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change a setting of the arm"
     )
+    parser.add_argument("--bus", metavar="NAME", help="which bus to simulate, of an arm with several")
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--link", type=Path, help="symbolic link to make to the terminal")
     place.add_argument(

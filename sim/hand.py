@@ -18,6 +18,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,11 @@ class Guided:
     joints: tuple[str, ...]
     times_s: NDArray[np.float64]
     angles_rad: NDArray[np.float64]
+
+    def of(self, joints: Sequence[str]) -> Guided:
+        """What of the motion is of these joints."""
+        led = [name in joints for name in self.joints]
+        return Guided(tuple(compress(self.joints, led)), self.times_s, self.angles_rad[:, led])
 
 
 def load_guided(name_or_path: str, joints: Sequence[str]) -> Guided:

@@ -1,6 +1,9 @@
 """Arms that come with rtarm, divided among two buses on which the same identifiers mean other joints."""
 
+from pathlib import Path
 from typing import Any
+
+import yaml
 
 from config.loader import load_arm
 from config.schema import ArmConfig
@@ -31,3 +34,9 @@ def divided_values(name: str, bus: dict[str, Any] | None = None) -> dict[str, An
 def divided(name: str, bus: dict[str, Any] | None = None) -> ArmConfig:
     """The arm, checked."""
     return ArmConfig.model_validate(divided_values(name, bus))
+
+
+def write_divided(name: str, file: Path, bus: dict[str, Any] | None = None, /, **changes: Any) -> Path:
+    """The arm's file; `changes`: sections and fields that take the place of the arm's own."""
+    file.write_text(yaml.safe_dump(divided_values(name, bus) | changes, sort_keys=False), encoding="utf-8")
+    return file

@@ -89,7 +89,8 @@ class Report:
     @property
     def _simulated(self) -> bool:
         """Whether this is no report of hardware; a link may lead to a pseudo-terminal."""
-        return is_simulated(self.arm) or os.path.realpath(self.arm.bus.resolved_channel).startswith(PSEUDO_TERMINALS)
+        bus = self.arm.bus_of(self.arm.joints[self.joint])
+        return is_simulated(self.arm) or os.path.realpath(bus.resolved_channel).startswith(PSEUDO_TERMINALS)
 
     def unlocked(self) -> dict[str, bool | None]:
         """What the control process may rely on; None for what was not tried. Two are of ZDT drives alone."""

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from config.bus import BusConfig
 from config.python_can import SERIAL_INTERFACES
 from config.schema import ArmConfig
 from rtarm.doctor.finding import Found, Write, bad, note, ok, together, warn
@@ -38,9 +39,9 @@ HURRY = (
 )
 
 
-def channel(arm: ArmConfig | None) -> str | None:
-    """The device the arm is reached through; None without a bus."""
-    return None if arm is None or arm.bus.interface == "mock" else arm.bus.resolved_channel
+def buses(arm: ArmConfig | None) -> dict[str, BusConfig]:
+    """The buses of the arm by the devices that they are reached through; none with mock drives."""
+    return {} if arm is None or arm.bus.interface == "mock" else {bus.resolved_channel: bus for bus in arm.buses}
 
 
 def serial_adapters(machine: Machine, arm: ArmConfig | None) -> list[str]:
@@ -48,17 +49,21 @@ def serial_adapters(machine: Machine, arm: ArmConfig | None) -> list[str]:
     if arm is None:
         folder = "/sys/class/tty"
         return [name for name in machine.names(folder) if name.startswith(SERIAL_PREFIXES)]
-    device = channel(arm)
-    if arm.bus.interface == "socketcan" or _by_library(arm) or device is None or device in can_interfaces(machine):
-        return []
-    if not machine.exists(device):
-        raise Unknown(f"{device} is not there")
-    return [_kernel_name(machine, device)]
+    interfaces = can_interfaces(machine)
+    serial = [
+        device
+        for device, bus in buses(arm).items()
+        if bus.interface != "socketcan" and not _by_library(bus) and device not in interfaces
+    ]
+    for device in serial:
+        if not machine.exists(device):
+            raise Unknown(f"{device} is not there")
+    return [_kernel_name(machine, device) for device in serial]
 
 
-def _by_library(arm: ArmConfig) -> bool:
+def _by_library(bus: BusConfig) -> bool:
     """Whether python-can reaches the adapter by other means than a serial port."""
-    through = arm.bus.python_can
+    through = bus.python_can
     return through is not None and through.interface not in SERIAL_INTERFACES
 
 
@@ -85,9 +90,7 @@ def _devices(machine: Machine, arm: ArmConfig | None) -> dict[str, Path]:
     """Folder in /sys/devices of each adapter: serial ones and CAN interfaces."""
     names = [(name, f"/sys/class/tty/{name}/device") for name in serial_adapters(machine, arm)]
     names += [
-        (name, f"/sys/class/net/{name}/device")
-        for name in can_interfaces(machine)
-        if arm is None or name == channel(arm)
+        (name, f"/sys/class/net/{name}/device") for name in can_interfaces(machine) if arm is None or name in buses(arm)
     ]
     return {name: machine.real(device) for name, device in names if machine.exists(device)}
 
@@ -120,31 +123,35 @@ def port(machine: Machine, arm: ArmConfig | None) -> Found:
     if arm is None:
         names = serial_adapters(machine, None) + can_interfaces(machine)
         return ok(f"no arm was named; adapters here: {', '.join(names) or 'none'}")
-    device = channel(arm)
-    if device is None:
-        return ok(f"{arm.name} has no bus (interface {arm.bus.interface})")
+    parts = [settled(partial(_port, machine, arm, device)) for device in buses(arm)]
+    return together(parts) if parts else ok(f"{arm.name} has no bus (interface {arm.bus.interface})")
+
+
+def _port(machine: Machine, arm: ArmConfig, device: str) -> Found:
+    bus = buses(arm)[device]
     if device in can_interfaces(machine):
         return ok(f"{device}, a CAN interface")
-    if _by_library(arm):
+    if _by_library(bus):
         return ok(f"{device}, which python-can alone can look for")
-    is_there = arm.bus.interface != "socketcan" and machine.exists(device)
+    name_it = "# then name it as bus.channel" if len(arm.buses) == 1 else f"# then name it as channel of bus {bus.name}"
+    is_there = bus.interface != "socketcan" and machine.exists(device)
     if not is_there and arm.name in files.running_arms():
         return ok(f"{device} is not there, but {arm.name} runs: it is simulated, or reached through another adapter")
-    if arm.bus.interface == "socketcan":
+    if bus.interface == "socketcan":
         there = ", ".join(can_interfaces(machine)) or "none"
         return bad(
             f"there is no CAN interface {device} (found: {there})",
-            "ip -brief link show   # then name it as bus.channel",
+            f"ip -brief link show   {name_it}",
         )
     if not is_there:
         return bad(
             f"{device} is not there, which a simulated arm (`rtarm up --sim`) can do without",
-            "ls /dev/serial/by-id/ /dev/ttyUSB* /dev/ttyACM*   # then name it as bus.channel",
+            f"ls /dev/serial/by-id/ /dev/ttyUSB* /dev/ttyACM*   {name_it}",
         )
     target = machine.real(device)
     found = target.stat()
     if not stat.S_ISCHR(found.st_mode):
-        return bad(f"{device} is no device", "ls /dev/serial/by-id/   # then name it as bus.channel")
+        return bad(f"{device} is no device", f"ls /dev/serial/by-id/   {name_it}")
     if not machine.may_access(target, os.R_OK | os.W_OK):
         group = _group(found.st_gid)
         said = f"{device} belongs to group {group}, and you may not open it"
@@ -214,7 +221,7 @@ def grabbers(machine: Machine, arm: ArmConfig | None) -> Found:
         return ok(f"neither {' nor '.join(GRABBERS)} runs")
     said = f"{' and '.join(running)} runs and may open a serial adapter when it is plugged in"
     mend = "\n".join(GRABBERS[name] for name in running)
-    concerned = serial_adapters(machine, None) if arm is None else channel(arm) is not None
+    concerned = serial_adapters(machine, None) if arm is None else buses(arm)
     return warn(said, mend) if concerned else note(said, mend)
 
 
@@ -253,9 +260,9 @@ def _bus(machine: Machine, arm: ArmConfig | None, name: str, told: dict[str, Any
     """State and bit rate of a CAN interface; only the arm's own has to be up."""
     if told.get("info_kind") == "vcan":
         return [ok(f"{name} is virtual")]
-    own = arm is not None and channel(arm) == name
+    own = buses(arm).get(name)
     bitrate = _part(_part(told, "info_data"), "bittiming").get("bitrate")
-    wanted_bitrate = arm.bus.bitrate if arm is not None and own else bitrate or 500_000
+    wanted_bitrate = own.bitrate if own else bitrate or 500_000
     up = f"sudo ip link set {name} up type can bitrate {wanted_bitrate} restart-ms 100"
     if not machine.number(f"/sys/class/net/{name}/flags", 16) & INTERFACE_UP:
         return [bad(f"{name} is down", up) if own else note(f"{name} is down", up)]

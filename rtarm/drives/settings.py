@@ -18,6 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from config.buses import places
 from config.schema import ArmConfig
 from rtarm.console.errors import ExitCode, Refusal
 from rtarm.console.interrupt import undisturbed
@@ -221,9 +222,7 @@ def unread(arm: ArmConfig) -> list[str]:
 def render(arm: ArmConfig, report: Report) -> RenderableType:
     """Drives side by side, then every sentence."""
     drives = report["drives"]
-    parts: list[RenderableType] = [
-        Text(f"{arm.name}: {len(drives)} drives, {arm.bus.interface} on {arm.bus.resolved_channel}", style="bold")
-    ]
+    parts: list[RenderableType] = [Text(f"{arm.name}: {len(drives)} drives, {places(arm.buses)}", style="bold")]
     family_of = {joint.name: joint.drive.family for joint in arm.joints}
     for family in dict.fromkeys(family_of[drive["joint"]] for drive in drives):
         parts.append(_table([drive for drive in drives if family_of[drive["joint"]] == family]))

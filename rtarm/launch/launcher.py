@@ -31,11 +31,12 @@ from rtarm.processes import (
     ros_environment,
 )
 from rtarm.recording.after_fault import FaultRecorder
-from rtarm.running.arm_file import SIMULATED_CHANNEL
+from rtarm.running.arm_file import EachBus, simulated_channels, with_buses
 from shm import files
 from shm.errors import AlreadyHeld
 
 if TYPE_CHECKING:
+    from config.bus import BusConfig
     from config.schema import ArmConfig
     from rtloop.wire.claim import Claim
 
@@ -75,8 +76,8 @@ class Plan:
     """What the ROS process is given besides, such as `--ros-args`."""
     namespace: str = ""
     """What stands before the name of its node and of all its topics, services and actions; "" for nothing."""
-    simulated_adapter: Mapping[str, Any] = field(default_factory=dict)
-    """What the simulated arm's adapter changes in section `bus`, its channel apart."""
+    simulated_adapters: EachBus = field(default_factory=dict)
+    """What the simulated arm's adapters change in its buses; where their terminals will be known, these stand there."""
     hand: str | None = None
     """The motion along which a hand leads the simulated arm whenever it is limp, as `sim.hand` knows it."""
     view: bool = False
@@ -144,14 +145,15 @@ def load_plan(
     from config.budget import check_budget
     from config.loader import load_arm
 
-    loaded_with, adapter = overrides, {}
+    loaded_with: Mapping[str, Any] = overrides
+    adapters: EachBus = {}
     if simulated:
         if _needs_no_bus(arm_argument):
             raise Refusal(
                 f"Arm {arm_argument} has mock drives and no bus, so there is nothing to simulate: leave sim out."
             )
-        adapter = _simulated_adapter(arm_argument, overrides)
-        loaded_with = _with_channel(overrides, adapter, SIMULATED_CHANNEL)
+        adapters = _simulated_adapters(arm_argument, overrides)
+        loaded_with = with_buses(overrides, adapters)
     arm = load_arm(arm_argument, overrides=loaded_with)
     check_budget(arm)
     check_ros()
@@ -167,7 +169,7 @@ def load_plan(
         front_environment=front_environment or {},
         front_arguments=front_arguments,
         namespace=namespace,
-        simulated_adapter=adapter,
+        simulated_adapters=adapters,
         hand=hand,
         view=view,
         clear_fault=clear_fault,
@@ -222,28 +224,33 @@ def generated_types() -> bool:
         raise Refusal(f"{signalled} came while message types were generated: start again for the rest.") from None
 
 
-def _simulated_adapter(arm_argument: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """A simulated arm stands behind a serial adapter: its own kind, or SLCAN where the real one has none.
+def _simulated_adapters(arm_argument: str, overrides: Mapping[str, Any]) -> EachBus:
+    """What each bus of a simulated arm is reached through, a stand-in for its terminal included."""
+    from config.errors import ConfigError
+    from config.loader import load_arm
+
+    channels = simulated_channels(arm_argument)
+    try:
+        buses = load_arm(arm_argument, overrides=with_buses(overrides, channels)).buses
+    except ConfigError:  # with SLCAN it may load, and if not, that error is the one to show
+        return {name: {"interface": "slcan", **channel} for name, channel in channels.items()}
+    return {
+        name: {**_simulated_adapter(bus), **channel}
+        for (name, channel), bus in zip(channels.items(), buses, strict=True)
+    }
+
+
+def _simulated_adapter(bus: BusConfig) -> dict[str, Any]:
+    """A simulated bus stands behind a serial adapter: its own kind, or SLCAN where the real one has none.
 
     Where python-can speaks to the real one, it does so to the simulated one too.
     """
-    from config.errors import ConfigError
-    from config.loader import load_arm
     from config.serial_adapters import SERIAL_ADAPTERS
 
-    bus = {**overrides.get("bus", {}), "channel": SIMULATED_CHANNEL}
-    try:
-        found = load_arm(arm_argument, overrides={**overrides, "bus": bus}).bus
-    except ConfigError:
-        return {"interface": "slcan"}  # with which it may load, and if not, that error is the one to show
-    if found.python_can is not None:
+    if bus.python_can is not None:
         other = {"python_can": {"interface": "slcan", "sleep_after_open": 0.0}}
-        return {} if found.spoken in SERIAL_ADAPTERS else other
-    return {"interface": found.spoken if found.spoken in SERIAL_ADAPTERS else "slcan"}
-
-
-def _with_channel(overrides: Mapping[str, Any], adapter: Mapping[str, Any], channel: str) -> dict[str, Any]:
-    return {**overrides, "bus": {**overrides.get("bus", {}), **adapter, "channel": channel}}
+        return {} if bus.spoken in SERIAL_ADAPTERS else other
+    return {"interface": bus.spoken if bus.spoken in SERIAL_ADAPTERS else "slcan"}
 
 
 class Launcher:
@@ -254,7 +261,8 @@ class Launcher:
         self.front_restarts = 0
         self._reporter = reporter
         self._arguments: list[str] = []
-        self._sim: Child | None = None
+        self._sims: dict[str, Child] = {}
+        """Each simulates a bus of the arm, by its name."""
         self._loop: Child | None = None
         self._front: Child | None = None
         self._action: Claim | None = None
@@ -275,7 +283,7 @@ class Launcher:
         self._action = self._claim_action()
         overrides = plan.overrides
         if plan.simulated:
-            overrides = _with_channel(overrides, plan.simulated_adapter, await self._start_sim())
+            overrides = with_buses(overrides, await self._start_sims())
         self._arguments = [plan.arm_argument, *override_arguments(overrides)]
         started = time.monotonic()
         loop_arguments = [*self._arguments, *(["--clear-fault"] if plan.clear_fault else [])]
@@ -295,8 +303,7 @@ class Launcher:
         """
         assert self._loop is not None
         others = [asyncio.create_task(self._watch_loop()), asyncio.create_task(self._keep_front())]
-        if self._sim is not None:
-            others.append(asyncio.create_task(self._watch_sim(self._sim)))
+        others += [asyncio.create_task(self._watch_sim(sim)) for sim in self._sims.values()]
         beside = [asyncio.create_task(self._recorder.watch())]  # whatever becomes of these ends nothing
         if self.page is not None:
             environment = {**plain_environment(), **self.plan.front_environment}
@@ -318,7 +325,7 @@ class Launcher:
         for child, patience_s in (
             (self._front, patience.ros_process_s + (parking.timeout_s if parking else 0.0)),
             (self._loop, patience.control_process_s if loop_moves else LOOP_STOP_EARLY_S),
-            (self._sim, SIM_STOP_S),
+            *((sim, SIM_STOP_S) for sim in self._sims.values()),
         ):
             if child is None or child.has_ended:
                 continue
@@ -366,18 +373,23 @@ class Launcher:
     def _ros_arguments(self) -> list[str]:
         return [*namespace_arguments(self.plan.namespace), *self.plan.front_arguments]
 
-    async def _start_sim(self) -> str:
-        """Start the simulated arm; returns the terminal it listens at."""
-        overrides = _with_channel(self.plan.overrides, self.plan.simulated_adapter, SIMULATED_CHANNEL)
-        arguments = ["--arm", self.plan.arm_argument, *override_arguments(overrides)]
+    async def _start_sims(self) -> EachBus:
+        """Start the simulated arm, a process a bus; returns how each is reached, at the terminal where it listens."""
+        adapters = self.plan.simulated_adapters
+        arguments = ["--arm", self.plan.arm_argument, *override_arguments(with_buses(self.plan.overrides, adapters))]
         if self.plan.start_deg is not None:
             arguments += ["--start-deg=" + ",".join(f"{angle:.9g}" for angle in self.plan.start_deg)]
         if self.plan.hand is not None:
             arguments += ["--hand", self.plan.hand]
-        self._sim = await self._spawn("sim", "sim", arguments, plain_environment())
-        terminal = await self._wait_ready(self._sim, SIM_PATIENCE_S, "simulated arm starting")
-        self._say(self._sim, f"ready, {len(self.plan.arm.joints)} simulated drives behind {terminal}")
-        return terminal
+        for bus in adapters:
+            of_bus = ["--bus", bus] if bus else []
+            self._sims[bus] = await self._spawn("sim", "sim", [*arguments, *of_bus], plain_environment(), bus)
+        reached = {}
+        for (bus, sim), part in zip(self._sims.items(), self.plan.arm.parts, strict=True):
+            terminal = await self._wait_ready(sim, SIM_PATIENCE_S, f"{self._called(sim)} starting")
+            self._say(sim, f"ready, {len(part.joints)} simulated drives behind {terminal}")
+            reached[bus] = {**adapters[bus], "channel": terminal}
+        return reached
 
     async def _start_front(self) -> Child:
         environment = {
@@ -390,9 +402,11 @@ class Launcher:
             arguments += parameter_arguments({"sim": True})
         return await self._spawn("front", "rosfront", arguments, environment)
 
-    async def _spawn(self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str]) -> Child:
+    async def _spawn(
+        self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str], bus: str = ""
+    ) -> Child:
         def show(line: str) -> None:
-            self._reporter.say(_without_name(line), name)
+            self._reporter.say(_of_bus(bus, _without_name(line)), name)
 
         return await Child.start(name, module, arguments, environment, show)
 
@@ -411,7 +425,7 @@ class Launcher:
                 raise await self._loop_refusal(self._loop)
             if not waited.done():
                 raise Refusal(
-                    f"The {NAMES[child.name]} was not ready within {patience_s:g} s: see its lines above, "
+                    f"The {self._called(child)} was not ready within {patience_s:g} s: see its lines above, "
                     "and relieve the machine if it is busy."
                 )
             ready = waited.result()
@@ -426,7 +440,9 @@ class Launcher:
         code = await child.ended()
         if child.last_line and code > 0:
             return AlreadySaid(_sentence(child))
-        return Refusal(f"The {NAMES[child.name]} ended {describe_end(code)} before it was ready: see its lines above.")
+        return Refusal(
+            f"The {self._called(child)} ended {describe_end(code)} before it was ready: see its lines above."
+        )
 
     async def _loop_refusal(self, child: Child) -> Refusal:
         """Why the control process ended while everything was starting."""
@@ -466,7 +482,7 @@ class Launcher:
     async def _watch_sim(self, sim: Child) -> None:
         code = await sim.ended()
         raise Refusal(
-            f"The simulated arm ended {describe_end(code)}, so there is nothing left to control: start "
+            f"The {self._called(sim)} ended {describe_end(code)}, so there is nothing left to control: start "
             f"again with `{self.plan.again}`."
         )
 
@@ -493,7 +509,21 @@ class Launcher:
                 self._say(self._front, f"ready again ({time.monotonic() - started:.1f} s)")
 
     def _say(self, child: Child, text: str, style: str = "") -> None:
-        self._reporter.say(text, child.name, style)
+        self._reporter.say(_of_bus(self._bus(child), text), child.name, style)
+
+    def _called(self, child: Child) -> str:
+        """What a process is called in sentences."""
+        bus = self._bus(child)
+        return f"simulated bus {bus}" if bus else NAMES[child.name]
+
+    def _bus(self, child: Child) -> str:
+        """The bus that a process simulates, "" where that is all the arm."""
+        return next((bus for bus, sim in self._sims.items() if sim is child), "")
+
+
+def _of_bus(bus: str, text: str) -> str:
+    """What is said of a bus of several."""
+    return f"bus {bus}: {text}" if bus else text
 
 
 def _without_name(line: str) -> str:
@@ -527,11 +557,12 @@ NAMES = {"sim": "simulated arm", "loop": "control process", "front": "ROS proces
 
 
 def describe_bus(arm: ArmConfig) -> str:
-    """The rate and the bus, in a line."""
-    bus = arm.bus
-    if bus.interface == "mock":
+    """The rate and the bus, or the buses, in a line."""
+    if arm.bus.interface == "mock":
         return f"{arm.name} at {arm.control.rate_hz:g} Hz without a bus (mock drives)"
-    return f"{arm.name} at {arm.control.rate_hz:g} Hz on {bus.interface}, {bus.bitrate // 1000} kbit/s"
+    named = len(arm.buses) > 1
+    rates = [f"{bus.bitrate // 1000} kbit/s" + (f" ({bus.name})" if named else "") for bus in arm.buses]
+    return f"{arm.name} at {arm.control.rate_hz:g} Hz on {arm.bus.interface}, {', '.join(rates)}"
 
 
 def action_name(arm: ArmConfig, namespace: str = "") -> str:

@@ -303,11 +303,13 @@ def seconds_for(arm: ArmConfig, way_rad: float, share: float) -> float:
 
 
 def alone(arm: ArmConfig, joint: int) -> dict[str, Any]:
-    """What an arm file says of one of its joints alone, which is taken over as it stands."""
+    """What an arm file says of one of its joints alone and of its bus, which is taken over as it stands."""
     values = arm.model_dump(mode="json", exclude_unset=True)
+    buses = values["bus"] if isinstance(values["bus"], list) else [values["bus"]]
     kept = {name: value for name, value in values.items() if name not in ("gripper", "parking", "kinematics")}
     return {
         **kept,
+        "bus": buses[arm.bus_number(arm.joints[joint])],
         "joints": [values["joints"][joint]],
         "homing": {"timeout_s": arm.homing.timeout_s},
         "control": {**values["control"], "init_mode": 1},

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
+from typing import Any
 
 from config.errors import ConfigError
-from config.loader import known_arms, load_arm
+from config.loader import bus_names, known_arms, load_arm
 from config.schema import ArmConfig
 from rtarm.console.errors import Refusal
 from rtarm.running.status import is_path
@@ -14,6 +16,28 @@ from shm.errors import SharedMemoryError
 
 SIMULATED_CHANNEL = "simulated"
 """Stands for a pseudo-terminal that does not exist yet, so that an arm file without adapter loads."""
+
+EachBus = Mapping[str, Mapping[str, Any]]
+"""What is changed in the buses of an arm, by their names; "" is the name of the bus where the arm has one."""
+
+
+def with_buses(overrides: Mapping[str, Any], changed: EachBus) -> dict[str, Any]:
+    """Overrides of an arm file in which each bus is changed besides."""
+    bus = dict(overrides.get("bus", {}))
+    for name, settings in changed.items():
+        if name:
+            bus[name] = {**bus.get(name, {}), **settings}
+        else:
+            bus |= settings
+    return {**overrides, "bus": bus}
+
+
+def simulated_channels(argument: str) -> EachBus:
+    """What stands for the adapter of each bus of an arm file; raises ConfigError where it cannot be read."""
+    names = bus_names(argument)
+    if not names:
+        return {"": {"channel": SIMULATED_CHANNEL}}
+    return {name: {"channel": f"{SIMULATED_CHANNEL}{number}"} for number, name in enumerate(names)}
 
 
 def arm_file(argument: str | None, arm: str, given_as: str = "--arm") -> ArmConfig:
@@ -38,7 +62,7 @@ def arm_file(argument: str | None, arm: str, given_as: str = "--arm") -> ArmConf
     try:
         return load_arm(given)
     except ConfigError:  # such as an adapter that is only given with `rtarm up`
-        return load_arm(given, overrides={"bus": {"interface": "slcan", "channel": SIMULATED_CHANNEL}})
+        return load_arm(given, overrides=with_buses({"bus": {"interface": "slcan"}}, simulated_channels(given)))
 
 
 def started_with(arm: str) -> str:

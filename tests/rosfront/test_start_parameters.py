@@ -7,6 +7,8 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
+from two_buses import divided
+
 from config.loader import load_arm
 from rosfront.program import CannotServe, split_arguments
 from rosfront.start_parameters import NODE_NAMES, START, BadParameter, facts, read_given, require_kind
@@ -106,6 +108,8 @@ def test_the_facts_are_those_of_the_arm_as_loaded():
     }
     other = facts(load_arm("episode1", overrides={"bus": {"channel": "/dev/x"}, "control": {"init_mode": 0}}))
     assert (other["usb_index"], other["channel"], other["init_mode"]) == (-1, "/dev/x", 0)
+    of_two = facts(divided("episode1"))
+    assert (of_two["usb_index"], of_two["channel"]) == (-1, "/dev/ttyshoulder, /dev/ttywrist")
     assert {name: type(value) for name, value in other.items()} == {name: kind for name, (kind, _) in START.items()}
 
 

@@ -16,6 +16,7 @@ from unittest.mock import patch
 import numpy as np
 from hand_readings import limits
 from recorded import TWO_BUSES, a_recording
+from two_buses import write_divided
 from typer.testing import CliRunner
 from written_arm import WrittenArm
 
@@ -109,7 +110,10 @@ def of_doctor() -> Reports:
 
 
 def of_config_check() -> Reports:
-    return [printed("config", "check", "episode1"), printed("config", "check", NOWHERE)]
+    """Of an arm with one bus, of one with several, and of none."""
+    with tempfile.TemporaryDirectory() as folder:
+        several = str(write_divided("episode1", Path(folder) / "arm.yaml"))
+        return [printed("config", "check", arm) for arm in ("episode1", several, NOWHERE)]
 
 
 def of_explain() -> Reports:

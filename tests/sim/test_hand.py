@@ -54,6 +54,15 @@ def test_limp_joints_of_every_family_are_led_along_the_motion(name: str) -> None
     assert arm.true_position_rad(2, arm.now_ns) == pytest.approx(0.0, abs=1e-3)  # to the nearest pulse
 
 
+def test_of_a_motion_each_bus_has_what_is_of_its_joints() -> None:
+    whole = there_and_on("joint2", "joint5")
+    part = whole.of(["joint5", "joint6"])
+    assert part.joints == ("joint5",)
+    assert part.angles_rad.tolist() == whole.angles_rad[:, 1:].tolist()
+    assert whole.of(["joint1"]).joints == ()
+    limp_arm("episode1", whole.of(["joint1"])).run_until(3_000_000_000)  # nobody is led
+
+
 def test_the_encoder_tells_over_the_bus_where_the_hand_led_it() -> None:
     arm = limp_arm("episode1", there_and_on("joint1"))
     host = connect(arm)

@@ -15,7 +15,9 @@ import can
 import numpy as np
 import pytest
 import serial
+from two_buses import write_divided
 
+from config.loader import load_arm
 from sim.drives.families import FAMILIES
 from sim.truth import load_truth, load_wire
 
@@ -215,6 +217,10 @@ def test_a_stale_link_is_replaced_but_a_file_is_not(start, tmp_path):
         (["--arm", "episode1", "--start-deg", "a"], "must be numbers"),
         (["--arm", "episode1", "--link", "/nonexistent/tty"], "there is no folder /nonexistent"),
         (["--arm", "episode1", "--truth", "/nonexistent/truth.npz"], "there is no folder"),
+        (
+            ["--arm", "episode1", "--bus", "wrist"],
+            "--bus is wrist, which is no bus of arm episode1; it has one without a name: leave --bus out.",
+        ),
         (["--arm", "mock"], f"has a mock drive, but only {', '.join(FAMILIES)} drives can be simulated"),
     ],
 )
@@ -223,3 +229,42 @@ def test_bad_options_are_one_sentence(options, sentence, capsys):
 
     assert main(options) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_a_process_simulates_one_bus_of_several(start, tmp_path):
+    """The third angle of the wrist's joints is the whole arm's sixth, and their identifiers are the shoulder's."""
+    file = write_divided("episode1", tmp_path / "arm.yaml")
+    angles_deg = dict(zip((joint.name for joint in load_arm(file).joints), (10, 20, 30, 40, 50, 60), strict=True))
+    given = "--start-deg=" + ",".join(str(angle) for angle in angles_deg.values())
+    simulator = start("--arm", str(file), "--bus", "wrist", given)
+    assert simulator.end() == 0
+    truth = load_truth(simulator.truth)
+    assert list(truth) == ["joint4", "joint5", "joint6"]
+    for name, joint in truth.items():
+        assert np.degrees(joint.position_rad[0]) == pytest.approx(angles_deg[name], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (
+            [],
+            "arm episode1 has 2 buses, and one process simulates one: give --bus with one of shoulder, wrist, and "
+            "start a process for each.",
+        ),
+        (
+            ["--bus", "wrsit"],
+            "--bus is wrsit, which is no bus of arm episode1 (did you mean wrist?); it has shoulder, wrist; name one "
+            "of them.",
+        ),
+        (
+            ["--bus", "wrist", "--start-deg", "1,2,3"],
+            "--start-deg has 3 angles, but arm episode1 has 6 joints on all its buses; give one for each.",
+        ),
+    ],
+)
+def test_what_is_no_bus_of_several_is_one_sentence(options, sentence, tmp_path, capsys):
+    from sim.__main__ import main
+
+    assert main(["--arm", str(write_divided("episode1", tmp_path / "arm.yaml")), *options]) == 2
+    assert capsys.readouterr().err == f"sim: {sentence}\n"

@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 import yaml
 from mixed_arm import mixed
+from two_buses import divided
 
 from config.loader import load_arm
+from config.schema import ArmConfig
 from rtarm.calibrate import run
 from rtarm.calibrate.arm_file import ArmFile
 from rtarm.calibrate.run import Calibration
@@ -126,3 +128,10 @@ def test_what_another_one_keeps_that_began_meanwhile_is_left_to_it(
     with pytest.raises(Refusal, match="this arm has one already"), led_alone(arm, 0, alone(arm, 0)):
         raise AssertionError
     assert list(tmp_path.iterdir()) == [kept]
+
+
+def test_a_joint_that_is_led_alone_has_its_bus_alone() -> None:
+    arm = divided("odrive6")
+    led = ArmConfig.model_validate(alone(arm, 4))
+    assert [joint.name for joint in led.joints] == [arm.joints[4].name]
+    assert [bus.channel for bus in led.buses] == ["/dev/ttywrist"]

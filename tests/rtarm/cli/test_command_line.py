@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 import typer
 import yaml
+from two_buses import write_divided
 from typer.testing import Result
 from written_arm import JOINTS, WrittenArm
 
@@ -92,6 +93,28 @@ def test_config_check_in_json_has_the_figures(rtarm: Rtarm) -> None:
     assert [joint["name"] for joint in figures["joints"]] == [f"joint{number}" for number in range(1, 7)]
     assert round(figures["highest_rate_hz"], 1) == 123.2
     assert json.loads(rtarm("config", "check", "mock", "--json").stdout)["highest_rate_hz"] is None
+
+
+@pytest.mark.parametrize("command", [("up",), ("drives",), ("calibrate",), ("commission",)], ids=" ".join)
+def test_one_channel_is_none_for_an_arm_of_several_buses(
+    command: tuple[str, ...], rtarm: Rtarm, tmp_path: Path
+) -> None:
+    file = str(write_divided("episode1", tmp_path / "arm.yaml"))
+    joint = ["joint1"] if command == ("commission",) else []
+    result = rtarm(*command, file, *joint, "--channel", "/dev/x")
+    assert (result.exit_code, result.stderr) == (
+        1,
+        "bus.channel=/dev/x is for every bus, but each of the arm's buses (shoulder, wrist) has an adapter of its own; "
+        "write it in the arm file, or name the bus where --set is an option, as in `--set "
+        "bus.shoulder.channel=/dev/x`.\n",
+    )
+
+
+def test_config_check_in_json_has_the_figures_of_each_bus(rtarm: Rtarm, tmp_path: Path) -> None:
+    result = rtarm("config", "check", str(write_divided("episode1", tmp_path / "arm.yaml")), "--json")
+    figures = json.loads(result.stdout)
+    assert (result.exit_code, figures["fits"]) == (0, True)
+    assert [bus["name"] for bus in figures["buses"]] == ["shoulder", "wrist"]
 
 
 def test_what_is_no_terminal_gets_no_colours() -> None:

@@ -18,6 +18,7 @@ from fake_machine import CPU, USB, Content, build, can_link, good_machine, place
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
+from two_buses import divided_values, write_divided
 
 from config.loader import load_arm
 from config.schema import ArmConfig
@@ -484,6 +485,21 @@ def test_the_port_of_the_arm(tmp_path: Path) -> None:
     assert forbidden.level == Level.BAD
     assert "and you may not open it" in forbidden.found
     assert "sudo usermod -aG " in str(forbidden.mend)
+
+
+def test_the_ports_of_an_arm_of_several_buses(tmp_path: Path) -> None:
+    serial = load_arm(write_divided("episode1", tmp_path / "arm.yaml"), overrides={"bus": {"wrist": {"usb_index": 1}}})
+    found = run("adapter's port", build(tmp_path / "one"), serial)
+    assert found.level == Level.BAD
+    assert "/dev/ttyshoulder is not there" in found.found and "/dev/ttyUSB1 may be opened" in found.found
+    assert found.command is not None and found.command.endswith("# then name it as channel of bus shoulder")
+    assert "unknown: /dev/ttyshoulder is not there" in run("latency timer", build(tmp_path / "two"), serial).found
+
+    values = divided_values("episode1", {"interface": "socketcan", "serial_baud": "cdc"})
+    for bus, channel, bitrate in zip(values["bus"], ("can1", "can0"), (500_000, 250_000), strict=True):
+        bus |= {"channel": channel, "bitrate": bitrate}
+    found = run("CAN interface", build(tmp_path / "can"), ArmConfig.model_validate(values))
+    assert "but the arm's bus runs at 250000 bit/s" in found.found
 
 
 def test_a_port_that_is_open_elsewhere_is_said(tmp_path: Path) -> None:

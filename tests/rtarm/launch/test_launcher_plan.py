@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from arm_files import edited
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
+from two_buses import write_divided
 
 from config.loader import load_arm, parse_overrides
 from rtarm import processes
@@ -19,6 +21,7 @@ from rtarm.console.errors import ExitCode
 from rtarm.console.reporter import Reporter
 from rtarm.launch.launcher import Launcher, action_name, describe_bus, load_plan, override_arguments
 from rtarm.processes import WHEELS_GUARD, describe_end, plain_environment, ros_environment
+from rtarm.running.arm_file import arm_file, with_buses
 
 keys = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True)
 scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text()
@@ -57,6 +60,44 @@ def test_python_can_speaks_to_the_simulated_adapter_where_it_does_to_the_real_on
     bus = load_plan(str(arm_file), {}, simulated=True).arm.bus
     assert bus.interface == "python-can" and bus.python_can is not None
     assert (bus.python_can.interface, dict(bus.python_can.options)) == ("slcan", options)
+
+
+@pytest.mark.parametrize("interface", ["slcan", "socketcan"])
+def test_each_bus_of_several_is_simulated_behind_an_adapter_of_its_own(tmp_path: Path, interface: str) -> None:
+    file = write_divided("episode1", tmp_path / "arm.yaml")
+    with edited(file) as values:
+        for bus in values["bus"]:
+            bus["interface"] = interface
+            bus.pop("channel")
+            bus.pop("serial_baud")
+    plan = load_plan(str(file), {"bus": {"bitrate": 1_000_000}}, simulated=True)
+    assert plan.simulated_adapters == {
+        "shoulder": {"interface": "slcan", "channel": "simulated0"},
+        "wrist": {"interface": "slcan", "channel": "simulated1"},
+    }
+    arguments = override_arguments(with_buses(plan.overrides, plan.simulated_adapters))
+    assert load_arm(file, overrides=parse_overrides(arguments[1::2])).buses == plan.arm.buses
+    assert describe_bus(plan.arm) == "episode1 at 120 Hz on slcan, 1000 kbit/s (shoulder), 1000 kbit/s (wrist)"
+
+
+def test_python_can_speaks_to_each_bus_in_the_language_of_its_adapter(tmp_path: Path) -> None:
+    file = write_divided("episode1", tmp_path / "arm.yaml")
+    with edited(file) as values:
+        for bus, interface in zip(values["bus"], ("pcan", "slcan"), strict=True):
+            bus.pop("serial_baud")
+            bus |= {"interface": "python-can", "python_can": {"interface": interface}}
+    first, second = load_plan(str(file), {}, simulated=True).arm.buses
+    assert first.python_can is not None and second.python_can is not None
+    assert (first.python_can.interface, dict(first.python_can.options)) == ("slcan", {"sleep_after_open": 0.0})
+    assert (second.python_can.interface, dict(second.python_can.options)) == ("slcan", {})
+
+
+def test_an_arm_file_without_adapters_is_found_all_the_same(tmp_path: Path) -> None:
+    file = write_divided("episode1", tmp_path / "arm.yaml")
+    with edited(file) as values:
+        for bus in values["bus"]:
+            bus.pop("channel")
+    assert [bus.name for bus in arm_file(str(file), "episode1").buses] == ["shoulder", "wrist"]
 
 
 def test_options_are_part_of_what_is_checked() -> None:

@@ -21,11 +21,13 @@ pytest.importorskip("control_msgs")
 from ros_client import SUCCEEDED, Client, Operator, recorded
 from sensor_msgs.msg import JointState
 from stack import Process
+from two_buses import write_divided
 from waiting import until
 
+from config.errors import ConfigError
 from config.loader import load_arm
 from rosfront.start_parameters import START, BadParameter, read_given
-from rtarm.launch.launcher import parameter_arguments
+from rtarm.launch.launcher import load_plan, parameter_arguments
 from rtarm.launch.robot_interface import PARAMETER_FLAGS, Start, front_arguments, remarks
 
 # ROS takes names of letters, digits and single _, and reads texts that look like something else only in quotes.
@@ -75,6 +77,13 @@ def test_what_cannot_be_meant_is_a_sentence(parameters: dict[str, Any], sentence
         Start.of(parameters)
     assert sentence in str(refusal.value)
     assert str(refusal.value).endswith(".")
+
+
+@pytest.mark.parametrize("adapter", [{"usb_index": 1}, {"channel": "/dev/x"}])
+def test_one_adapter_is_none_for_an_arm_of_several_buses(adapter: dict[str, Any], tmp_path: Path) -> None:
+    start = Start.of({"arm": str(write_divided("episode1", tmp_path / "arm.yaml")), **adapter})
+    with pytest.raises(ConfigError, match=r"each of the arm's buses \(shoulder, wrist\) has an adapter of its own"):
+        load_plan(start.arm, start.overrides, simulated=start.simulated)
 
 
 def test_what_the_tutorials_program_would_do_otherwise_is_said() -> None:

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stack import run_rtarm
+from stack import PATIENT, run_rtarm
+from two_buses import write_divided
 from waiting import until
 
 from config.loader import known_arms
@@ -193,6 +194,28 @@ def test_a_dead_control_process_ends_everything_with_code_3(
 
 
 @pytest.mark.usefixtures("clean")
+def test_each_bus_has_a_simulated_arm_and_the_end_of_one_ends_everything(
+    start: Callable[..., Command], arm_name: str, tmp_path: Path, clean: None
+) -> None:
+    file = write_divided("episode1", tmp_path / "arm.yaml", name=arm_name, limits=PATIENT)
+    up = start("up", str(file), "--sim")
+    up.until("sim    bus shoulder: ready, 3 simulated drives behind ")
+    up.until("sim    bus wrist: ready, 3 simulated drives behind ")
+    up.until(f"loop   ready, {arm_name} at 120 Hz on slcan, 500 kbit/s (shoulder), 500 kbit/s (wrist) (")
+    up.until("rtarm  running")
+    assert [joint["referenced"] for joint in status(arm_name)["joints"]] == [True] * 6
+
+    children = [int(pid) for pid in children_of(up)]
+    (wrist,) = [pid for pid in children if Path(f"/proc/{pid}/cmdline").read_bytes().endswith(b"--bus\0wrist\0")]
+    os.kill(wrist, signal.SIGKILL)
+    assert up.end() == 1
+    assert up.errors == (
+        "The simulated bus wrist ended by SIGKILL, so there is nothing left to control: start again with "
+        f"`rtarm up {file} --sim`.\n"
+    )
+    until(lambda: ended(children), patience_s=LONG_S)
+
+
 def test_each_latched_fault_is_recorded_once_with_what_followed(
     start: Callable[..., Command], arm_file: Path, arm_name: str
 ) -> None:
