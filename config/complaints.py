@@ -8,13 +8,12 @@ from typing import Any, get_args
 
 import yaml
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from config.errors import ConfigError, did_you_mean
 from config.joint import JointConfig
 from config.schema import ArmConfig
-from config.section import ordinal
+from config.section import fields_of, ordinal
 from config.yaml_text import Location, find_line, parts_of, text_of
 
 _DERIVED_FIELDS = {
@@ -70,11 +69,6 @@ def _place(loc: tuple[int | str, ...]) -> tuple[Location, type[BaseModel]]:
         if len(models) == 1:
             model = models[0]
     return tuple(location), owner
-
-
-def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """The fields of a section by the names that they have in an arm file."""
-    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

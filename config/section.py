@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationInfo
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 
@@ -57,3 +58,8 @@ class Section(BaseModel):
 
     # Strict, so that `ratio: "25"` or `rate_hz: yes` is refused instead of being guessed at.
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, serialize_by_alias=True)
+
+
+def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """The fields of a section by the names that they have in an arm file."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}

@@ -11,6 +11,7 @@ from pydantic.fields import FieldInfo
 
 from config.joint import Drives
 from config.schema import ArmConfig
+from config.section import fields_of
 from handbook.markdown import code, page, table
 
 UNITS = {
@@ -91,10 +92,16 @@ def summary(model: type[BaseModel]) -> str:
 def sections_below(path: str, model: type[BaseModel]) -> Iterator[tuple[str, type[BaseModel]]]:
     """A section and those inside it, each with its path; drives have parts of their own."""
     yield path.rstrip("."), model
-    for name, field in model.model_fields.items():
+    for name, field in fields_of(model).items():
+        is_plural = is_list(field.annotation) and not may_be_one(field)
         for below in models_of(field.annotation):
             if below not in get_args(Drives):
-                yield from sections_below(f"{path}{name}{'[]' if is_list(field.annotation) else ''}.", below)
+                yield from sections_below(f"{path}{name}{'[]' if is_plural else ''}.", below)
+
+
+def may_be_one(field: FieldInfo) -> bool:
+    """Whether a list of one may be written without its list, as the only bus of an arm."""
+    return field.alias is not None and is_list(field.annotation)
 
 
 def is_list(annotation: Any) -> bool:
@@ -111,14 +118,14 @@ def models_of(annotation: Any) -> list[type[BaseModel]]:
 
 def keys(model: type[BaseModel]) -> list[Key]:
     """The keys of a section."""
-    return [key(name, field) for name, field in model.model_fields.items()]
+    return [key(name, field) for name, field in fields_of(model).items()]
 
 
 def key(name: str, field: FieldInfo) -> Key:
     """One key."""
     return Key(
         name,
-        type_of(field.annotation),
+        f"section, or {type_of(field.annotation)}" if may_be_one(field) else type_of(field.annotation),
         unit_of(name),
         default_of(field),
         allowed_of(field),

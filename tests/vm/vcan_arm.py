@@ -1,5 +1,7 @@
 """An arm on vcan0 that an emulated processor can carry: the simulated drives are Python."""
 
+from typing import Any
+
 from arm_files import edited
 from stack import Stack
 
@@ -10,15 +12,20 @@ RATE_HZ = 20
 JOINTS = 3
 
 
+def slowed(values: dict[str, Any], joints: int) -> None:
+    """Rewrite an arm file for fewer joints and cycles, and for drives that answer late."""
+    values["control"]["rate_hz"] = RATE_HZ
+    values["joints"] = values["joints"][:joints]
+    for of_six_joints in ("kinematics", "homing"):
+        values.pop(of_six_joints, None)
+    values.setdefault("limits", {}).update(stale_brake_s=0.4, stale_fault_s=2.0, front_timeout_s=10.0)
+
+
 def start_on_vcan(stack: Stack) -> ArmConfig:
     """Rewrite a stack's arm file for vcan0 and start its simulated drives there; the arm's configuration."""
     with edited(stack.arm_file) as values:
         values["bus"] = {"interface": "socketcan", "channel": "vcan0", "bitrate": 500_000}
-        values["control"]["rate_hz"] = RATE_HZ
-        values["joints"] = values["joints"][:JOINTS]
-        for of_six_joints in ("kinematics", "homing"):
-            values.pop(of_six_joints, None)
-        values.setdefault("limits", {}).update(stale_brake_s=0.4, stale_fault_s=2.0, front_timeout_s=10.0)
+        slowed(values, JOINTS)
     stack.place = ("--can", "vcan0")
     stack.start_sim()
     return load_arm(stack.arm_file)
