@@ -60,8 +60,8 @@ def shared_memory(machine: Machine, arm: ArmConfig | None) -> Found:
 
 
 def _rings(arm: ArmConfig) -> layout.Rings:
-    bitrate = 0 if arm.bus.interface == "mock" else arm.bus.bitrate
-    return layout.rings(len(arm.joints), arm.control.period_ns, bitrate)
+    bitrates = [] if arm.bus.interface == "mock" else [bus.bitrate for bus in arm.buses]
+    return layout.rings(len(arm.joints), arm.control.period_ns, *bitrates)
 
 
 def _is_tmpfs(machine: Machine) -> bool:
