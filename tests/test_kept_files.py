@@ -103,6 +103,7 @@ def keys_in(value: Any, place: str = "") -> Iterator[str]:
 def test_the_next_version_keeps_a_file_with_every_key() -> None:
     files = [*ARMS_FOLDER.glob("*.yaml"), *OWN_ARMS.glob("*.yaml")]
     there = {key for path in files for key in keys_in(yaml.safe_load(path.read_text(encoding="utf-8")))}
+    there |= {key.replace("bus[].", "bus.") for key in there}  # one bus is written without its list
     missing = sorted(listed("configuration").keys() - there)
     assert not missing, f"no arm file that `make keep` keeps has {missing}: add it to one in tests/kept/arms"
 

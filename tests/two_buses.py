@@ -17,7 +17,7 @@ def divided_values(name: str, bus: dict[str, Any] | None = None) -> dict[str, An
     values = arm.model_dump(mode="json", exclude_unset=True)
     shared = {key: value for key, value in values["bus"].items() if key not in ("channel", "usb_index")} | (bus or {})
     values["bus"] = [
-        {**shared, "name": of, "channel": f"can_{of}" if shared["interface"] == "socketcan" else f"/dev/tty_{of}"}
+        {**shared, "name": of, "channel": f"can_{of}" if shared["interface"] == "socketcan" else f"/dev/tty{of}"}
         for of in NAMES
     ]
     joints = values["joints"]

@@ -92,7 +92,7 @@ def test_a_cycle_of_episode1_loads_the_bus_as_the_facts_say(host):
 
 
 def test_serial_time_delays_and_limits(episode1):
-    slow = episode1.model_copy(update={"bus": episode1.bus.model_copy(update={"serial_baud": 115200})})
+    slow = episode1.on_every_bus(serial_baud=115200)
     host = connect(SimulatedArm(slow))
     host.say(read(1))
     host.wait(2.0)  # 15 characters out, 25 characters back: 3.5 ms

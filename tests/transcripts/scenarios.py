@@ -19,6 +19,7 @@ from fuzz.arena import OPENINGS, MemoryArena, WireArena
 from fuzz.truth import Truth
 from mixed_arm import mixed
 from servo import Servo, SinglePoints, Way, waves
+from two_buses import divided
 from virtual import GOALS, VirtualArm, recorded_goal
 
 from config.loader import known_arms, load_arm
@@ -115,7 +116,7 @@ for _path in sorted(GOALS.glob("*.json")):
     SCENARIOS[f"goal-{_path.stem}"] = Scenario(partial(play, _path.stem), SPARSE if _path.stem in LONG else 1)
 
 
-def family(arm: str) -> None:
+def family(arm: Any) -> None:
     """What every drive can do: a goal that another one replaces, a cancel, limp and enabled again, silent and back."""
     with standing(arm) as here:
         here.play("small")
@@ -666,23 +667,31 @@ def command_ring_corrupt() -> None:
         finish(arm, towards(arm, 0.02))
 
 
-def gone_and_back(interface: str, error: int) -> None:
-    with standing(overrides={"bus": {"interface": interface}}) as arm:
-        towards(arm)
-        arm.cycles(40)
-        received.close(arm.loop[0]["buses"][0], error)
-        arm.cycles(5)
-        arm.ask(Request.CLEAR_FAULT)
-        arm.loop[0]["buses"][0]["received"]["arrived"]["closed"] = 0
-        arm.loop[0]["buses"][0]["wire"]["fd"] = 7
-        take_over_wire(arm.loop[0], arm.state.array[0], arm.loop[0]["buses"][0])
-        faulted(arm)
-        arm.clear_fault()
-        finish(arm, towards(arm, 0.02))
+def gone_and_back(arm: Any, error: int, bus: int = 0) -> None:
+    with standing(arm) as here:
+        towards(here)
+        here.cycles(40)
+        row = here.loop[0]["buses"][bus]
+        received.close(row, error)
+        here.cycles(5)
+        here.ask(Request.CLEAR_FAULT)
+        row["received"]["arrived"]["closed"] = 0
+        row["wire"]["fd"] = 7
+        take_over_wire(here.loop[0], here.state.array[0], row)
+        faulted(here)
+        here.clear_fault()
+        finish(here, towards(here, 0.02))
 
 
-SCENARIOS["wire-gone-and-back"] = Scenario(partial(gone_and_back, "slcan", 5))
-SCENARIOS["link-down-and-up"] = Scenario(partial(gone_and_back, "socketcan", 100), SPARSE)
+SCENARIOS["wire-gone-and-back"] = Scenario(partial(gone_and_back, "episode1", 5))
+ON_SOCKETCAN = load_arm("episode1", overrides={"bus": {"interface": "socketcan"}})
+SCENARIOS["link-down-and-up"] = Scenario(partial(gone_and_back, ON_SOCKETCAN, 100), SPARSE)
+
+# --- two buses -------------------------------------------------------------------------------------------------
+
+for _arm in ("episode1", "damiao6", "cia402_6"):
+    SCENARIOS[f"two-buses-{_arm}"] = Scenario(partial(family, divided(_arm)), SPARSE)
+SCENARIOS["two-buses-one-gone-and-back"] = Scenario(partial(gone_and_back, divided("episode1"), 5, 1), SPARSE)
 
 
 @scenario("controller-errors")

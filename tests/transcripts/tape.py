@@ -21,7 +21,7 @@ class Transcript:
     Attributes:
         words: by name; int64 or float64, one value for each cycle, or for each of `kept` of a fast word.
         kept: numbers of the cycles in which fast words are kept.
-        sent: bytes that each cycle transmitted.
+        sent: bytes that each cycle transmitted, bus after bus.
         told: events, results and answers.
         place: processor and libraries, which decide how floats are rounded.
         broke_off: why the scenario did not come to its end; "" when it did.
@@ -83,7 +83,7 @@ def listen(play: Callable[[], None]) -> Transcript:
 
     def kept(arm: VirtualArm, now_ns: int) -> bytes:
         sent = step(arm, now_ns)
-        tape.keep(arm.state.array[0], sent)
+        tape.keep(arm.state.array[0], b"".join(arm.for_the_wire(bus) for bus in range(len(arm.arm.buses))))
         return sent
 
     with mock.patch.object(VirtualArm, "step", kept):

@@ -49,7 +49,7 @@ def upstream_arm(drives: str = "zdt", *, gentle: bool = False, **sections: dict[
         limits = {"max_acceleration_rad_s2": 4000.0}
     if drives == "mock":
         limits["drive"] = MockDrive(family="mock")
-        arm = arm.model_copy(update={"bus": BusConfig(interface="mock")})
+        arm = arm.model_copy(update={"buses": [BusConfig(interface="mock")]})
     return arm.model_copy(update={"joints": [joint.model_copy(update=limits) for joint in arm.joints]})
 
 

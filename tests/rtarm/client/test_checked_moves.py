@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from written_arm import WrittenArm
 
-from rosfront.verdict import judge
+from rosfront.verdict import Names, judge
 from rtarm.client import moves
 from rtarm.client.sender import Outcome as Ended
 from rtarm.client.sender import Sender
@@ -108,7 +108,8 @@ def test_a_failure_tells_what_the_control_process_decided_by(
     standing.snapshot["results"][2] = 3, Outcome.PATH_TOLERANCE, 0, 0.7, 0.2, 5
     standing.snapshot["results"][3] = 4, outcome, joint, 0.3, limit_rad, 6
     standing.publish()
-    verdict = judge(outcome, joint, 0.3, limit_rad, standing.snapshot, np.zeros(2), 0b11, ("shoulder", "elbow"))
+    names = Names(("shoulder", "elbow"), ())
+    verdict = judge(outcome, joint, 0.3, limit_rad, standing.snapshot, np.zeros(2), 0b11, names)
     assert (" rad from its target" in verdict.sentence) == (outcome == Outcome.PATH_TOLERANCE)
     action = Answering(Ended(False, -4, verdict.sentence))
     with connect(standing.name) as connection, pytest.raises(GoalFailed) as failed:

@@ -20,7 +20,7 @@ from rtarm.console.errors import Refusal
 from rtarm.demo import run as demo
 from rtarm.demo.goals import load_goal, tour
 from rtarm.launch.own_domain import DOMAINS
-from rtarm.running.status import percentiles_us
+from rtarm.running.status import counted_buses, percentiles_us
 from rtarm.running.tracking import Tracker, Window
 from shm import files, histogram
 from shm.client import StateReader
@@ -196,8 +196,8 @@ def test_a_window_holds_what_happened_in_it(arm: WrittenArm) -> None:
         late(value_ns)
     arm.state["counters"]["cycles"] += 3
     arm.state["counters"]["bits_on_bus"] += 1000
-    since, bitrate, elapsed_ns = window.counters()
-    assert (int(since["cycles"]), int(since["bits_on_bus"]), bitrate) == (3, 1000, 500_000)
+    since, (bus,), elapsed_ns = window.counters()
+    assert (int(since["cycles"]), int(since["bits_on_bus"]), bus.bitrate) == (3, 1000, 500_000)
     assert elapsed_ns > 0
     lateness = percentiles_us(window.histogram("lateness"))
     assert lateness["count"] == 3
@@ -247,7 +247,7 @@ def test_the_summary_fits_80_columns_and_names_everything(arm: WrittenArm) -> No
         "lateness_us": timing,
         "cycle_us": timing,
         "rate_hz": 120.0,
-        **demo.counters(arm.state["counters"], 500_000, 1_000_000_000),
+        **demo.counters(arm.state["counters"], counted_buses(arm.state), 1_000_000_000),
         "scheduling": demo.scheduling(arm.state["scheduling"]),
     }
     out = io.StringIO()
