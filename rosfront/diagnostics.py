@@ -25,7 +25,7 @@ from rosfront.serving import STALLED_NS, Serving, hung
 from rosfront.verdict import fault_of
 from sentences.drive_words import HELPLESS, TROUBLE, troubles_of, words_of
 from sentences.english import NOBODY_ACKNOWLEDGES
-from sentences.told import bus_state_sentence, joint_name, mode_name, outcome_sentence, unreferenced_sentence
+from sentences.told import bus_state_sentence, joint_name, mode_name, of_bus, outcome_sentence, unreferenced_sentence
 from shm import files
 from shm.errors import TornRead
 from shm.histogram import percentiles_ns
@@ -189,7 +189,13 @@ class Diagnostics:
         loads = [
             counts["bits_on_bus"] / (bus.bitrate * elapsed_s) for bus, counts in zip(buses, grown_there, strict=True)
         ]
-        worst = max(range(len(buses)), key=lambda number: of_each[number]["bus_state"])
+        worst = max(
+            range(len(buses)),
+            key=lambda number: (
+                max(of_each[number]["bus_state"], BusState.WARNING),  # what lies below is in no sentence
+                grown_there[number]["unacknowledged"],
+            ),
+        )
         yield self._bus("bus", now, grown, elapsed_s, max(loads), buses[worst].name)
         for bus, counts, risen, load in zip(buses, of_each, grown_there, loads, strict=True):
             yield self._bus(f"bus {bus.name}", counts, risen, elapsed_s, load, bus.name)
@@ -218,7 +224,7 @@ class Diagnostics:
         if now["bus_state"] in (BusState.PASSIVE, BusState.BUS_OFF):
             return self._status(part, ERROR, bus_state_sentence(now["bus_state"], bus=bus), values)
         if grown["unacknowledged"]:
-            return self._status(part, WARN, NOBODY_ACKNOWLEDGES.sentence, values)
+            return self._status(part, WARN, of_bus(NOBODY_ACKNOWLEDGES.sentence, bus), values)
         trouble = [f"{grown[name]} {name.replace('_', ' ')}" for name in troubles if grown[name]]
         if trouble:
             return self._status(part, WARN, f"In the last {elapsed_s:.1f} s: {', '.join(trouble)}; {load}.", values)
@@ -299,6 +305,7 @@ class Diagnostics:
 
 
 def _counts(counted: np.void) -> dict[str, int]:
+    """The counters of a record of them, by name."""
     return {name: int(counted[name]) for name in counted.dtype.names or () if name != "padding"}
 
 

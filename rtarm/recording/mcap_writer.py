@@ -204,6 +204,7 @@ def _version() -> str:
 
 
 def _metadata(recording: Recording, reason: Reason) -> dict[str, dict[str, str]]:
+    several_buses = len(recording.buses) > 1
     about = {
         "format": FORMAT,
         "version": _version(),
@@ -212,14 +213,14 @@ def _metadata(recording: Recording, reason: Reason) -> dict[str, dict[str, str]]
         "rate_hz": 1e9 / recording.period_ns,
         "period_ns": recording.period_ns,
         "bitrate": recording.buses[0].bitrate if recording.buses else 0,
-        **({"buses": recording.buses} if len(recording.buses) > 1 else {}),
+        **({"buses": recording.buses} if several_buses else {}),
         "arm_hash": f"{recording.arm_hash:016x}",
         "pid": recording.pid,
         "lost": recording.lost,
         "written_epoch_ns": time.time_ns(),
         "reason": reason.word,
         "sentence": reason.sentence,
-        "identifiers": recording.identifiers.tolist(),
+        "identifiers": [row if several_buses else row[:-1] for row in recording.identifiers.tolist()],
         "scheduling": _as_dict(recording.scheduling, skipped=("padding",)),
     }
     limits = _as_dict(recording.limits, skipped=("padding", "joints"))

@@ -63,6 +63,21 @@ def test_a_doubtful_bus_is_named_and_the_other_is_in_order(doubtful: int) -> Non
     arm.close()
 
 
+def test_a_bus_on_which_nobody_acknowledges_is_named() -> None:
+    arm, diagnostics = of(divided("episode1"))
+    statuses(arm, diagnostics)
+    record = arm.state.record
+    record["buses"]["bus_state"][0] = record["counters"]["bus_state"] = BusState.WARNING
+    record["buses"]["unacknowledged"][1] += 2
+    record["counters"]["unacknowledged"] += 2
+    found = statuses(arm, diagnostics)
+    for part in ("bus", f"bus {NAMES[1]}"):
+        assert found[part].level == DiagnosticStatus.WARN
+        assert found[part].message.startswith(f"Bus {NAMES[1]}: ")
+    assert found[f"bus {NAMES[0]}"].level == DiagnosticStatus.OK
+    arm.close()
+
+
 def test_what_went_wrong_on_one_bus_since_the_last_report_is_told_of_it() -> None:
     arm, diagnostics = of(divided("episode1"))
     statuses(arm, diagnostics)

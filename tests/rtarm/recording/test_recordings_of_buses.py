@@ -91,6 +91,7 @@ def test_an_arm_of_one_bus_writes_what_it_always_wrote(tmp_path: Path) -> None:
     with path.open("rb") as file:
         about = next(one.metadata for one in make_reader(file).iter_metadata() if one.name == mcap_format.METADATA)
     assert "buses" not in about and about["bitrate"] == "500000"
+    assert all(len(row) == 4 for row in json.loads(about["identifiers"]))
 
 
 def test_identifiers_of_before_are_on_the_first_bus() -> None:
