@@ -32,6 +32,11 @@ def check_buses(buses: Sequence[BusConfig]) -> None:
                 f"bus[{index}]",
                 f"the {ordinal(index)} bus has no name, by which joints could say that their drive is on it; add name.",
             )
+        if bus.name in BusConfig.model_fields:
+            raise refuse(
+                f"bus[{index}].name",
+                f"name {bus.name} is that of a field of a bus, so that options could mean either; choose another name.",
+            )
         if bus.interface == "mock":
             raise refuse(
                 f"bus[{index}].interface", "interface is mock, which is no bus at all; leave one bus, without a list."
@@ -68,7 +73,10 @@ def _shown(value: object) -> str:
 
 
 def check_places(buses: Sequence[BusConfig], joints: Sequence[JointConfig], servo_bus: str | None, servo: bool) -> None:
-    """Refuse a drive that is on no bus of the arm, and a bus without drives; `servo`: the gripper has a drive too."""
+    """Refuse a drive that is on no bus of the arm, and a bus without a joint's drive; `servo`: the gripper has one too.
+
+    The cycle asks a joint's drive on each bus for its status in turn.
+    """
     for index, joint in enumerate(joints):
         _is_on_one(f"joints[{index}].bus", f"the drive of {joint.name}", joint.bus, buses)
     if servo:

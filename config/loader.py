@@ -259,6 +259,12 @@ def _merge_buses(below: Sequence[Any], above: Mapping[str, Any], overridden: set
     names = _names(below)
     for_each = {key: value for key, value in above.items() if key not in names}
     _refuse_one_adapter_for_all(for_each, names)
+    for key, value in for_each.items():
+        if isinstance(value, Mapping) and key != "python_can":
+            raise ConfigError(
+                f"the override bus.{key} names no bus of the arm{did_you_mean(key, names)}; its buses are "
+                f"{', '.join(names)}."
+            )
     merged = []
     for index, bus in enumerate(below):
         if not isinstance(bus, Mapping):

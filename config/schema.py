@@ -345,7 +345,7 @@ class ArmConfig(Section):
         """The part (`parts`) with a joint's bus, and the joint's number there."""
         number = self.bus_number(self.joints[joint])
         before = [number == self.bus_number(other) for other in self.joints[:joint]]
-        return self.parts[number], sum(before)
+        return self if len(self.buses) == 1 else self._part(number), sum(before)
 
     def on_every_bus(self, **settings: object) -> ArmConfig:
         """The same arm with settings of its buses changed; they are not checked."""
@@ -390,7 +390,8 @@ class ArmConfig(Section):
 
     @model_validator(mode="after")
     def _drives_go_together(self) -> ArmConfig:
-        check_drives(self.joints, self.bus, self.limits, self.control.rate_hz)
+        numbers = [self.bus_number(joint) for joint in self.joints]
+        check_drives(self.joints, numbers, self.bus, self.limits, self.control.rate_hz)
         return self
 
     @model_validator(mode="after")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import compress, product
 from typing import Protocol
 
 from config import ramp
@@ -26,9 +26,14 @@ class Limits(Protocol):
         """Braking of a drive that hears nothing more, as a multiple of the joint's acceleration limit."""
 
 
-def check_drives(joints: Sequence[JointConfig], bus: BusConfig, limits: Limits, rate_hz: float) -> None:
-    """Refuse the first thing that is wrong with an arm's drives (pydantic's custom errors, `config.section.refuse`)."""
-    _are_told_apart(joints)
+def check_drives(
+    joints: Sequence[JointConfig], numbers: Sequence[int], bus: BusConfig, limits: Limits, rate_hz: float
+) -> None:
+    """Refuse the first thing that is wrong with an arm's drives (pydantic's custom errors, `config.section.refuse`).
+
+    `numbers` are those of the buses that the joints' drives are on; `bus` is any of them.
+    """
+    _are_told_apart(joints, numbers)
     _are_not_too_fast(joints)
     _reach_the_whole_range(joints)
     _know_their_angle(joints)
@@ -59,11 +64,9 @@ def _article(noun: str) -> str:
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
-def _are_told_apart(joints: Sequence[JointConfig]) -> None:
+def _are_told_apart(joints: Sequence[JointConfig], numbers: Sequence[int]) -> None:
     for index, joint in enumerate(joints):
-        for other in joints[:index]:
-            if other.bus != joint.bus:
-                continue
+        for other in compress(joints, (number == numbers[index] for number in numbers[:index])):
             common = common_identifiers(joint.drive, other.drive)
             if common is None:
                 continue

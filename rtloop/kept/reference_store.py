@@ -262,8 +262,14 @@ def replace_file(path: Path, text: str) -> None:
 
 
 def channel_of(arm: ArmConfig) -> str:
-    """Interface and channel of the arm's buses: what is stored of the drives is valid there alone."""
-    return ",".join(f"{bus.interface}:{bus.resolved_channel}" for bus in arm.buses)
+    """Interface and channel of the arm's drives: what is stored of the drives is valid there alone.
+
+    With several buses each names its joints, since a drive of the same number may be on another one.
+    """
+    places = {f"{part.bus.interface}:{part.bus.resolved_channel}": part.joints for part in arm.parts}
+    if len(places) == 1:
+        return next(iter(places))
+    return ", ".join(f"{place} ({' '.join(joint.name for joint in joints)})" for place, joints in places.items())
 
 
 def is_simulated(arm: ArmConfig) -> bool:

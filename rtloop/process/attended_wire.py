@@ -13,6 +13,7 @@ from rtloop.process.compiled import CompiledCycle
 from rtloop.process.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
 from rtloop.wire.refusal import WireRefused
 from sentences.english import STILL_QUEUED, WIRE_IS_BACK
+from sentences.told import of_bus
 from shm.record import offset_of
 
 REOPEN_EVERY_S = 0.5
@@ -23,14 +24,15 @@ LET_GO_POLL_S = 0.001
 class AttendedWire:
     """The wire of the bus with this number in the loop; `arm` is the part of the arm (`ArmConfig.parts`) on it.
 
-    `start` starts the thread that the function it is given runs in, and returns it. `tell` gets every message for the
-    operator.
+    `name` is that of the bus where there are several, else "": sentences about it begin with that. `start` starts the
+    thread that the function it is given runs in, and returns it. `tell` gets every message for the operator.
     """
 
     def __init__(
         self,
         arm: ArmConfig,
         number: int,
+        name: str,
         loop: np.ndarray,
         compiled: CompiledCycle,
         *,
@@ -39,6 +41,7 @@ class AttendedWire:
     ) -> None:
         self._arm = arm
         self._number = number
+        self._name = name
         self._loop = loop
         self._compiled = compiled
         self._start = start
@@ -50,22 +53,33 @@ class AttendedWire:
         self._told = ""
 
     @property
-    def channel(self) -> str:
+    def _channel(self) -> str:
         """The device or interface that it is opened at."""
         return self._arm.bus.resolved_channel
 
     @property
-    def is_gone(self) -> bool:
+    def _is_gone(self) -> bool:
         """Whether one of the threads has found that it is gone."""
         return self._wire is not None and self._load("received", "arrived", "closed") != 0
 
+    def require(self) -> None:
+        """Raise WireRefused if the adapter is gone, in a conversation that cannot go on without it."""
+        if self._is_gone:
+            raise self._refusal(
+                f"The adapter at {self._channel} is gone in the middle of a conversation, so what a drive was told "
+                "last may have arrived or not: plug it in again and read what the drives have."
+            )
+
     def open(self) -> None:
         """Open it and give it to the threads; raises WireRefused."""
-        wire = open_wire(self._arm)
+        try:
+            wire = open_wire(self._arm)
+        except WireRefused as refused:
+            raise self._refusal(str(refused)) from refused
         if wire is None:
             return
         for complaint in wire.complaints:
-            self._tell(complaint)
+            self._say(complaint)
         self._wire = wire
         self._dropped_before = self._load("received", "arrived", "dropped")
         self._unsent_before = self._load("received", "arrived", "unsent")
@@ -82,7 +96,10 @@ class AttendedWire:
         self._compiled.read_wire(kept.ctypes.data, self._number)
 
     def attend(self, cycle_is_alive: Callable[[], bool]) -> None:
-        """Detect that the adapter is gone, and reopen it when it is back; only an operator's clear moves the arm."""
+        """Detect that the adapter is gone, and reopen it when it is back; only an operator's clear moves the arm.
+
+        An adapter that is there and does not open keeps the caller for as long as that takes (SLCAN: 0.35 s).
+        """
         if self._arm.bus.interface == "mock":
             return
         now_s = time.monotonic()
@@ -90,7 +107,7 @@ class AttendedWire:
             if now_s >= self._next_try_s:
                 self._next_try_s = now_s + REOPEN_EVERY_S
                 self._try_again()
-        elif self.is_gone:
+        elif self._is_gone:
             self._let_go(self._wire, cycle_is_alive)
             self._next_try_s = now_s
         elif now_s >= self._next_lost_s:
@@ -106,7 +123,7 @@ class AttendedWire:
         """Close it, at the end."""
         if self._wire is not None:
             if keeps_frames(self._arm, self._wire):
-                self._tell(STILL_QUEUED.sentence.format(channel=self.channel))
+                self._say(STILL_QUEUED.sentence.format(channel=self._channel))
             self._close(self._wire)
 
     def _count_lost(self, wire: OpenWire) -> None:
@@ -135,12 +152,18 @@ class AttendedWire:
             self._told = str(refused)
             return
         self.start_reader()
-        self._tell(WIRE_IS_BACK)
+        self._say(WIRE_IS_BACK)
 
     def _close(self, wire: OpenWire) -> None:
         for complaint in close_wire(self._arm, wire):
-            self._tell(complaint)
+            self._say(complaint)
         self._wire = None
+
+    def _say(self, sentence: str) -> None:
+        self._tell(of_bus(sentence, self._name))
+
+    def _refusal(self, sentence: str) -> WireRefused:
+        return WireRefused(of_bus(sentence, self._name))
 
     def _address(self, *word: str) -> int:
         buses = offset_of(Loop, "buses") + self._number * Bus.dtype.itemsize

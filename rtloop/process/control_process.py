@@ -29,9 +29,8 @@ from rtloop.service.conversation import Conversation, DialogueFailed
 from rtloop.service.port import HOME_ALL, ServicePort
 from rtloop.system import realtime
 from rtloop.wire.claim import Claim, claim_for_arm
-from rtloop.wire.refusal import WireRefused
 from sentences.english import HEALED
-from sentences.told import fault_told, of_bus
+from sentences.told import fault_told
 from shm import files
 from shm.record import offset_of
 from shm.words import Mode, Phase, Unreferenced
@@ -112,8 +111,8 @@ class ControlProcess:
             leave_to_cycle(arm.realtime.cpu)  # before the wires, which may have threads
             self._buses = files.several_names(buses_of(arm))
             for number, part in enumerate(arm.parts):
-                tells = self._teller_of(number)
-                wire = AttendedWire(part, number, self._loop, compiled, start=self._start_reader, tell=tells)
+                name = self._buses[number] if self._buses else ""
+                wire = AttendedWire(part, number, name, self._loop, compiled, start=self._start_reader, tell=tell)
                 self._wires.append(wire)
                 wire.open()
             self._port = ServicePort(self._loop, compiled)
@@ -200,12 +199,7 @@ class ControlProcess:
         if not self._cycle.is_alive():
             raise Ended(3)
         for wire in self._wires:
-            if not wire.is_gone:
-                continue
-            raise WireRefused(
-                f"The adapter at {wire.channel} is gone in the middle of a conversation, so what a "
-                "drive was told last may have arrived or not: plug it in again and read what the drives have."
-            )
+            wire.require()
 
     # --- threads
 
@@ -429,11 +423,6 @@ class ControlProcess:
         code, joint, value, limit, silent, evidence = told
         names = [joint.name for joint in self._arm.joints]
         return fault_told(code, joint, value, limit, silent, evidence, names, buses=self._buses)
-
-    def _teller_of(self, number: int) -> Callable[[str], None]:
-        """Tells what is said of a bus' wire, by the name of the bus where there are several."""
-        bus = self._buses[number] if self._buses else ""
-        return lambda sentence: self._tell(of_bus(sentence, bus))
 
     def _run_shutdown_dialogue(self) -> None:
         """Turn off the reports of drives that send positions unasked; until the end the cycle polls them instead."""

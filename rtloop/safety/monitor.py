@@ -81,6 +81,9 @@ def latch_silence(loop: Loop, shared: StateFile, joint: int, age_ns: int) -> Non
     named = -1 if all_silent else joint
     value, limit = age_ns * 1e-9, loop.params.stale_fault_ns * 1e-9
     evidence = silence.evidence(loop, shared, bus_of(loop, joint))
+    if all_silent:
+        for number in range(loop.params.bus_count):
+            evidence |= silence.evidence(loop, shared, loop.buses[number])
     latch_fault(loop, shared, Fault.STALE_READING, named, value, limit, silent, evidence)
 
 

@@ -102,6 +102,12 @@ def nameless(values: Values) -> None:
             "the 2nd bus has no name, by which joints could say that their drive is on it; add name.",
         ),
         (
+            of_second(name="bitrate"),
+            "bus[1].name",
+            "name: bitrate",
+            "name bitrate is that of a field of a bus, so that options could mean either; choose another name.",
+        ),
+        (
             mock,
             "bus[0].interface",
             "interface: mock",
@@ -278,6 +284,10 @@ def test_an_adapter_s_number_takes_the_place_of_its_channel_on_its_bus(file: Pat
         (
             "bus.wrist=can0",
             "the override bus.wrist=can0 gives a bus a value; name a field of it, such as bus.wrist.channel=can0.",
+        ),
+        (
+            "bus.wirst.channel=can0",
+            "the override bus.wirst names no bus of the arm (did you mean wrist?); its buses are shoulder, wrist.",
         ),
     ],
 )

@@ -89,11 +89,12 @@ class ReadSettings(Conversation):
 def reports_of(arm: ArmConfig, found: Mapping[int, Reading]) -> dict[int, DriveReport]:
     """Compare each drive with the arm file, by joint."""
     drives = [config.drive for config in arm.joints]
-    shared: dict[str, int] = {}
+    hearing = [(arm.bus_number(config), config.drive.family) for config in arm.joints]
+    shared: dict[tuple[int, str], int] = {}
     for joint, reading in found.items():
         if reading.shared_address:
-            shared.setdefault(drives[joint].family, joint)
+            shared.setdefault(hearing[joint], joint)
     return {
-        joint: settings_of(drives[joint]).report_of(arm, joint, reading, shared.get(drives[joint].family))
+        joint: settings_of(drives[joint]).report_of(arm, joint, reading, shared.get(hearing[joint]))
         for joint, reading in found.items()
     }

@@ -233,6 +233,61 @@ def test_a_wire_lost_before_the_first_cycle_lets_nothing_leave_on_it() -> None:
     arm.close()
 
 
+def test_a_gripper_on_a_bus_of_its_own_hears_nothing_of_the_other() -> None:
+    """It goes on while the other bus has no wire, and is refused without its own."""
+    values = divided_values("episode1", ON_SOCKETCAN) | {
+        "gripper": {"hook": "servo", "servo": {"address": 9, "bus": "wrist"}}
+    }
+    arm = VirtualArm.brought_up(ArmConfig.model_validate(values))
+    arm.begin_with_gripper()
+    arm.cycles(100)
+
+    def told(bus: int) -> int:
+        frames = (word for _, data in arm.sent_on[bus] for word, _ in unpacked(data))
+        return sum((word & 0x1FFFFFFF) >> 8 == 9 for word in frames)
+
+    assert told(SHOULDER) == 0 < told(WRIST)
+    assert arm.arm.gripper is not None
+    close_wire(arm, SHOULDER)
+    arm.cycles(3)
+    before = told(WRIST)
+    assert arm.ask(Request.GRIP, value=arm.arm.gripper.lower_rad) == Answer.DONE
+    arm.cycles(50)
+    assert told(WRIST) > before
+    close_wire(arm, WRIST)
+    arm.cycle()
+    since = len(arm.sent_on[WRIST])
+    assert arm.ask(Request.GRIP, value=arm.arm.gripper.upper_rad) == Answer.REFUSED_WIRE
+    arm.cycles(50)
+    assert len(arm.sent_on[WRIST]) == since
+    arm.close()
+
+
+def test_silence_of_all_drives_tells_what_speaks_for_it_on_whichever_bus() -> None:
+    arm = moving(divided("episode1", ON_SOCKETCAN))
+    for joint, bus in zip(
+        ("joint1", "joint2", "joint3", "joint4", "joint5", "joint6"), (0, 0, 0, 1, 1, 1), strict=True
+    ):
+        arm.sims[bus].inject(Silent(joint, at_s=0.0), since_ns=arm.now_ns)
+    arm.cycles(3)
+    arm.receive(arm.now_ns, error_record(can_words.CONTROLLER | can_words.NO_ACKNOWLEDGE, b"\0\x20"), WRIST)
+    arm.until(lambda: arm.memory["mode"] == Mode.FAULT)
+    fault = arm.memory["fault"]
+    assert (fault["code"], fault["joint"]) == (Fault.STALE_READING, -1)
+    assert int(fault["evidence"]) & Evidence.UNACKNOWLEDGED
+    arm.close()
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_a_drive_that_names_the_only_bus_is_on_the_same_as_one_that_does_not(listed: bool) -> None:
+    values = load_arm("episode1").model_dump(mode="json", exclude_unset=True)
+    bus = {**values["bus"], "name": "only"}
+    values["bus"] = [bus] if listed else bus
+    values["joints"][3] |= {"bus": "only", "drive": values["joints"][0]["drive"]}
+    with pytest.raises(ValueError, match="address 1 is used by joint1 and joint4"):
+        ArmConfig.model_validate(values)
+
+
 def test_numbers_may_repeat_on_two_buses_and_not_on_one() -> None:
     values = divided_values("episode1")
     for joint in values["joints"]:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from two_buses import divided
 
 from config.loader import load_arm
 from config.schema import ArmConfig
@@ -230,3 +231,12 @@ def test_an_encoder_that_was_found_not_to_be_absolute_is_not_believed(
     assert "joint2 is absolute in the arm file" in sentence and "was not (its angle was kept, 30.0° away)" in sentence
     counts = arm.joints[1].model_copy(update={"drive": drive.model_copy(update={"encoder": "incremental"})})
     assert commissioned.withheld(arm.model_copy(update={"joints": [arm.joints[0], counts, *arm.joints[2:]]})) == ""
+
+
+def test_what_is_kept_of_a_drive_does_not_follow_its_joint_to_another_bus() -> None:
+    """The same numbers mean other drives there."""
+    arm = divided("episode1")
+    buses = [joint.bus for joint in reversed(arm.joints)]
+    exchanged = [joint.model_copy(update={"bus": bus}) for joint, bus in zip(arm.joints, buses, strict=True)]
+    assert channel_of(arm) != channel_of(arm.model_copy(update={"joints": exchanged}))
+    assert channel_of(load_arm("episode1")) == "slcan:/dev/ttyUSB1"
