@@ -142,8 +142,14 @@ class Browser:
                 found = None
             if found:
                 return found
-            assert time.monotonic() < deadline, f"never seen:\n{self.driver.find_element('tag name', 'body').text}"
+            assert time.monotonic() < deadline, f"never seen:\n{self._what_is_there()}"
             time.sleep(0.05)
+
+    def _what_is_there(self) -> str:
+        """The page, its address and the last lines of its console: of an empty page they alone tell why."""
+        body = self.driver.find_element("tag name", "body").text
+        console = [f"{line['level']}: {line['message']}" for line in self.driver.get_log("browser")[-10:]]
+        return "\n".join((body, self.driver.current_url, *console))
 
     def text(self, selector: str) -> str:
         """What stands in an element, "" while there is none."""

@@ -65,7 +65,7 @@ mkdir -p /host{root} /host{share}
 shared repository /host{root} ro,cache=loose
 shared share /host{share} cache=none
 ip link set lo up
-for name in vcan0 vcan1; do ip link add dev $name type vcan; ip link set $name up; done
+for name in vcan0 vcan2; do ip link add dev $name type vcan; ip link set $name up; done
 chroot /host /bin/sh {share}/inside.sh
 echo "vm-exit $?"
 poweroff -f

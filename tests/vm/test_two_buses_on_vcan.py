@@ -19,7 +19,7 @@ from sim.truth import load_truth
 NAME = "twovcan"
 PATIENCE_S = 120.0
 SO_RCVBUFFORCE = 33
-CHANNELS = {"shoulder": "vcan0", "wrist": "vcan1"}
+CHANNELS = {"shoulder": "vcan0", "wrist": "vcan2"}
 
 
 class Arm(MemoryFront):
@@ -65,7 +65,7 @@ def arm(tmp_path_factory):
 @pytest.fixture
 def strangers():
     """Somebody else's clients of both buses."""
-    with can.Bus("vcan0", interface="socketcan") as first, can.Bus("vcan1", interface="socketcan") as second:
+    with can.Bus("vcan0", interface="socketcan") as first, can.Bus("vcan2", interface="socketcan") as second:
         for bus in (first, second):
             bus.socket.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, 1 << 24)  # they are read after the fact
         yield first, second
@@ -94,7 +94,7 @@ def test_a_goal_moves_a_joint_on_each_bus_and_each_bus_carries_its_own_frames(ar
 def test_when_one_link_goes_down_the_other_bus_is_led_to_rest_and_a_clear_brings_both_back(arm):
     goal = arm.swing(8.0, 0.2)
     arm.until(lambda now: now["goal_id"] == goal and now["trajectory_clock_ns"] > 1e9)
-    subprocess.run(["ip", "link", "set", "vcan1", "down"], check=True)
+    subprocess.run(["ip", "link", "set", "vcan2", "down"], check=True)
     now = arm.until(lambda now: now["mode"] == Mode.FAULT)
     assert (now["fault"], now["fault_limit"]) == (Fault.LINK_DOWN, 1.0)
     assert arm.outcome(goal) == Outcome.FAULT
@@ -103,7 +103,7 @@ def test_when_one_link_goes_down_the_other_bus_is_led_to_rest_and_a_clear_brings
     arm.until(lambda now: not np.any(now["joints"]["commanded_velocity_rad_s"][:2]))
     assert arm.answer(Request.CLEAR_FAULT) == Answer.REFUSED_WIRE
     assert arm.counted("frames_sent")[0] > sent and arm.counted("frames_sent")[1] == quiet
-    subprocess.run(["ip", "link", "set", "vcan1", "up"], check=True)
+    subprocess.run(["ip", "link", "set", "vcan2", "up"], check=True)
     arm.loop.line_with("The adapter is back")
     since_ns = time.monotonic_ns()
     arm.until(lambda now: now["joints"]["measured_ns"][:2].min() > since_ns)
