@@ -1,7 +1,7 @@
 """The control cycle, from top to bottom: bytes in, motion, bytes out.
 
 `step(loop, shared, now_ns)` is one cycle as a function of its inputs: the state, the time and what the wire
-brought (in the state's receive ring); its output stands in the state's transmit buffer. It sleeps for
+brought (in the state's receive rings); its output stands in the state's transmit buffers. It sleeps for
 nothing, asks the system for nothing and allocates nothing. `rtloop.process.run` calls it in real time, tests in
 virtual time.
 """
@@ -25,8 +25,8 @@ GAP_NS = 100_000_000
 
 
 @jit
-def step(loop: Loop, shared: StateFile, now_ns: int) -> int:
-    """Run one cycle whose planned time is now_ns; returns how many bytes the buses' transmit buffers hold."""
+def step(loop: Loop, shared: StateFile, now_ns: int) -> None:
+    """Run one cycle whose planned time is now_ns; what it sends stands in the transmit buffers of `loop.buses`."""
     begin_cycle(loop, shared, now_ns)
     measured.take_what_the_bus_brought(loop, shared)
     orders.take_service_orders(loop, shared)
@@ -41,16 +41,6 @@ def step(loop: Loop, shared: StateFile, now_ns: int) -> int:
     goals.judge_goal(loop, shared)
     frames.encode(loop, shared)
     publish_snapshot(loop, shared)
-    return bytes_to_write(loop)
-
-
-@jit
-def bytes_to_write(loop: Loop) -> int:
-    """How many bytes stand in the transmit buffers of all buses."""
-    count = 0
-    for number in range(loop.params.bus_count):
-        count += loop.buses[number].outgoing.length
-    return count
 
 
 @jit

@@ -13,9 +13,9 @@ from rtloop.wire import outgoing, received
 
 
 @jit
-def step(loop_address: int, state_address: int, now_ns: int) -> int:
+def step(loop_address: int, state_address: int, now_ns: int) -> None:
     """`cycle.step`."""
-    return cycle.step(record_at(loop_address, LOOP), record_at(state_address, STATE_FILE), now_ns)
+    cycle.step(record_at(loop_address, LOOP), record_at(state_address, STATE_FILE), now_ns)
 
 
 @jit

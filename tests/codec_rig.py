@@ -134,7 +134,7 @@ class Rig:
     def takes(self, frame_id: int, data: bytes, kind: int = STANDARD, length: int | None = None) -> None:
         """A frame comes from the bus."""
         length = len(data) if length is None else length
-        take_frame(self.record, self.shared[0], 0, frame_id, kind, length, word(data), NOW_NS)
+        take_frame(self.record, self.shared[0], self.record["buses"][0], frame_id, kind, length, word(data), NOW_NS)
 
     def hears(self, *frames: str) -> dict[str, Any]:
         """What the joint's drive has told by these frames and before: numbers in SI units, status as bits."""

@@ -4,7 +4,7 @@ from compilation.jit import jit
 from rtloop.drives import families
 from rtloop.memory import status as status_bits
 from rtloop.memory.buses import bus_of
-from rtloop.memory.link import PROBING, SILENT, SPEAKING
+from rtloop.memory.link import PROBING, SILENT, SPEAKING, Bus
 from rtloop.memory.modes import is_disabled
 from rtloop.memory.state import Loop
 from rtloop.memory.updates import stop_left
@@ -40,14 +40,16 @@ def encode(loop: Loop, shared: StateFile) -> None:
             families.lead(loop, joint, shared)
     if loop.mode != Mode.OFFLINE:
         for number in range(params.bus_count):
-            if loop.buses[number].speech == SPEAKING:
-                ask(loop, shared, number)
-            elif loop.buses[number].speech == PROBING:
-                probe(loop, shared, number)
+            bus = loop.buses[number]
+            if bus.speech == SPEAKING:
+                ask(loop, shared, bus)
+            elif bus.speech == PROBING:
+                probe(loop, shared, bus)
     send_service_frames(loop, shared)
     for number in range(params.bus_count):
-        if loop.buses[number].speech != SILENT and loop.buses[number].outgoing.length > 0:
-            loop.buses[number].quiet.spoke_ns = loop.timing.now_ns
+        bus = loop.buses[number]
+        if bus.speech != SILENT and bus.outgoing.length > 0:
+            bus.quiet.spoke_ns = loop.timing.now_ns
 
 
 @jit
@@ -63,17 +65,17 @@ def mirror(loop: Loop, joint: int) -> None:
 
 
 @jit
-def ask(loop: Loop, shared: StateFile, number: int) -> None:
+def ask(loop: Loop, shared: StateFile, bus: Bus) -> None:
     """Ask every drive of a bus that does not report its position for it, and one of them in turn for its status."""
-    bus, params = loop.buses[number], loop.params
+    params = loop.params
     for joint in range(params.joint_count):
-        if loop.joints[joint].bus == number and families.is_on_the_bus(loop, joint):
+        if loop.joints[joint].bus == bus.number and families.is_on_the_bus(loop, joint):
             axis = loop.axes[joint]
             if params.reported == 0 or transmission.report_is_asked_for(loop, joint):
                 families.ask_position(loop, joint, shared)
             if axis.reply.unanswered_since_ns == 0:
                 axis.reply.unanswered_since_ns = loop.timing.now_ns
-    bus.status_turn = next_turn(loop, number, bus.status_turn)
+    bus.status_turn = next_turn(loop, bus, bus.status_turn)
     if families.is_on_the_bus(loop, bus.status_turn):
         families.ask_status(loop, bus.status_turn, shared)
         if bus.unacknowledged_since_ns == 0:
@@ -81,23 +83,22 @@ def ask(loop: Loop, shared: StateFile, number: int) -> None:
 
 
 @jit
-def next_turn(loop: Loop, number: int, turn: int) -> int:
+def next_turn(loop: Loop, bus: Bus, turn: int) -> int:
     """The joint of a bus whose turn it is after another's."""
     for _ in range(loop.params.joint_count):
         turn = (turn + 1) % loop.params.joint_count
-        if loop.joints[turn].bus == number:
+        if loop.joints[turn].bus == bus.number:
             break
     return turn
 
 
 @jit
-def probe(loop: Loop, shared: StateFile, number: int) -> None:
+def probe(loop: Loop, shared: StateFile, bus: Bus) -> None:
     """Ask one drive in turn, now and then, whether anybody is there again: what is asked now only queues up."""
-    bus = loop.buses[number]
-    if not transmission.may_probe(loop, number):
+    if not transmission.may_probe(loop, bus):
         return
     bus.probed_ns = loop.timing.now_ns
-    bus.probe_turn = next_turn(loop, number, bus.probe_turn)
+    bus.probe_turn = next_turn(loop, bus, bus.probe_turn)
     if families.is_on_the_bus(loop, bus.probe_turn):
         families.ask_position(loop, bus.probe_turn, shared)
 

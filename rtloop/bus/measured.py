@@ -34,7 +34,7 @@ def take_what_the_bus_brought(loop: Loop, shared: StateFile) -> None:
     if loop.buses[0].interface == WIRE_MOCK:  # then there is no other
         return
     for number in range(loop.params.bus_count):
-        take_bytes(loop, shared, number)
+        take_bytes(loop, shared, loop.buses[number])
     take_positions(loop, shared)
     lost = 0
     for number in range(loop.params.bus_count):
@@ -47,35 +47,34 @@ def take_what_the_bus_brought(loop: Loop, shared: StateFile) -> None:
             bus.transmit_inhibited = 1
             if loop.mode != Mode.OFFLINE:
                 fault = Fault.LINK_DOWN if error == ENETDOWN else Fault.WIRE
-                latch_fault(loop, shared, fault, -1, float(error), float(number))
+                latch_fault(loop, shared, fault, -1, float(error), float(bus.number))
     shared.counters.receive_overflows = lost
 
 
 @jit
-def take_bytes(loop: Loop, shared: StateFile, number: int) -> None:
+def take_bytes(loop: Loop, shared: StateFile, bus: Bus) -> None:
     """What has come on one bus."""
-    bus = loop.buses[number]
     parser = bus.parser
     chunks = received.chunks_arrived(bus)
     while parser.chunks_taken < chunks:
         chunk = bus.received.chunks[parser.chunks_taken & (RX_CHUNKS - 1)]
         time_ns, end = chunk.time_ns, chunk.end
         shared.counters.bytes_received += end - parser.bytes_taken
-        take_frames(loop, shared, number, end, time_ns)
+        take_frames(loop, shared, bus, end, time_ns)
         parser.chunks_taken += 1
     received.taken(bus, parser.bytes_taken, parser.chunks_taken)
 
 
 @jit
-def take_frames(loop: Loop, shared: StateFile, number: int, end: int, time_ns: int) -> None:
+def take_frames(loop: Loop, shared: StateFile, bus: Bus, end: int, time_ns: int) -> None:
     """The frames that end before `end`."""
     found = FRAME
     while found != NOTHING:
-        found, frame_id, kind, length, data = wires.next_frame(loop.buses[number], shared, end)
+        found, frame_id, kind, length, data = wires.next_frame(bus, shared, end)
         if found == FRAME:
-            take_frame(loop, shared, number, frame_id, kind, length, data, time_ns)
+            take_frame(loop, shared, bus, frame_id, kind, length, data, time_ns)
         elif found == CONTROLLER_ERROR:
-            take_error(loop, shared, loop.buses[number], frame_id, data)
+            take_error(loop, shared, bus, frame_id, data)
 
 
 @jit
@@ -104,17 +103,16 @@ def show_state(loop: Loop, shared: StateFile, bus: Bus, state: int) -> None:
 
 @jit
 def take_frame(
-    loop: Loop, shared: StateFile, number: int, frame_id: int, kind: int, length: int, data: int, time_ns: int
+    loop: Loop, shared: StateFile, bus: Bus, frame_id: int, kind: int, length: int, data: int, time_ns: int
 ) -> None:
     """A frame from a drive: into the axis it belongs to, and to the conversation that may wait for it.
 
     Adapters may echo what they send. A question is never as long as its answer and no answer begins as a command does,
     so an echo means nothing here.
     """
-    bus = loop.buses[number]
     count_received(shared, bus, frame_bits(kind, length))
-    record_frame(loop, shared, number, time_ns, frame_id, marks_of(kind), length, data)
-    joint = whose(loop, number, frame_id, kind)
+    record_frame(loop, shared, bus.number, time_ns, frame_id, marks_of(kind), length, data)
+    joint = whose(loop, bus, frame_id, kind)
     if joint == NOBODY:
         return
     bus.unheard_frames = 0
@@ -125,11 +123,11 @@ def take_frame(
 
 
 @jit
-def whose(loop: Loop, number: int, frame_id: int, kind: int) -> int:
+def whose(loop: Loop, bus: Bus, frame_id: int, kind: int) -> int:
     """The joint whose drive sends such a frame on a bus, GRIPPER or NOBODY."""
-    for row in range(loop.params.listener_count):
-        listener = loop.listeners[row]
-        if (frame_id ^ listener.match) & listener.mask == 0 and kind == listener.kind and listener.bus == number:
+    for number in range(loop.params.listener_count):
+        listener = loop.listeners[number]
+        if (frame_id ^ listener.match) & listener.mask == 0 and kind == listener.kind and listener.bus == bus.number:
             return int(listener.joint)
     return NOBODY
 

@@ -105,10 +105,11 @@ def _obey(loop: Loop, shared: StateFile) -> int:
 @jit
 def lacks_a_wire(loop: Loop) -> bool:
     """Whether the wire of one of the arm's buses is gone."""
-    gone = 0
     for number in range(loop.params.bus_count):
-        gone += received.closed(loop.buses[number]) != 0
-    return gone > 0
+        bus = loop.buses[number]
+        if received.closed(bus) != 0:
+            return True
+    return False
 
 
 @jit

@@ -65,14 +65,14 @@ def speech(bus: Bus) -> int:
 
 
 @jit
-def may_probe(loop: Loop, number: int) -> bool:
+def may_probe(loop: Loop, bus: Bus) -> bool:
     """Whether it is time to ask a silent bus again, and no stop command could lose its room by that."""
-    params, bus = loop.params, loop.buses[number]
+    params = loop.params
     if loop.timing.now_ns - bus.probed_ns < params.stale_fault_ns // PROBES:
         return False
     stops_to_come = 0
     for joint in range(params.joint_count):
-        if loop.joints[joint].bus == number:
+        if loop.joints[joint].bus == bus.number:
             stops_to_come += loop.axes[joint].reference.referenced
     return bool(stops_to_come == 0 or bus.unheard_frames + stops_to_come < ADAPTER_FRAMES)
 

@@ -170,7 +170,7 @@ def judge_bytes(loop: Loop, count: int, verdict: np.ndarray) -> int:
     at, first = 0, 0
     while at < count:
         at, frame_id, data = read_frame(loop, at, count)
-        joint = whose(loop, 0, frame_id, EXTENDED) if at > 0 else -1
+        joint = whose(loop, loop.buses[0], frame_id, EXTENDED) if at > 0 else -1
         if joint < 0:
             return BAD_LINE
         if data & 255 == 0xFD:
@@ -226,7 +226,8 @@ def run_case(
         if np.random.random() < 0.3:
             at = spoil(out, at)
         bring(loop, out, at, now_ns)
-        sent = step(loop, shared, now_ns)
+        step(loop, shared, now_ns)
+        sent = loop.buses[0].outgoing.length
         guilt = memory.judge(loop, before, verdict)
         if guilt == SOUND:
             guilt = judge_bytes(loop, sent, verdict)

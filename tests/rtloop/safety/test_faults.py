@@ -275,7 +275,8 @@ def test_frames_the_wire_did_not_take_are_not_sent_late() -> None:
     arm.now_ns += arm.period_ns
     arm.listen(arm.now_ns)
     arm.writer.beat(arm.now_ns)
-    count = step(arm.loop[0], arm.state.array[0], arm.now_ns)
+    step(arm.loop[0], arm.state.array[0], arm.now_ns)
+    count = int(arm.loop[0]["buses"][0]["outgoing"]["length"])
     lines = arm.loop[0]["buses"][0]["outgoing"]["bytes"][:count].tobytes().split(b"\r")
     firsts = [line for line in lines if line.startswith(b"T000002008FD")]
     assert len(firsts) == 1
