@@ -7,6 +7,7 @@ from typing import Any
 
 from config.bus import BusConfig
 from config.errors import did_you_mean
+from config.gripper import GripperServo
 from config.joint import JointConfig
 from config.section import ordinal, refuse
 
@@ -72,15 +73,15 @@ def _shown(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def check_places(buses: Sequence[BusConfig], joints: Sequence[JointConfig], servo_bus: str | None, servo: bool) -> None:
-    """Refuse a drive that is on no bus of the arm, and a bus without a joint's drive; `servo`: the gripper has one too.
+def check_places(buses: Sequence[BusConfig], joints: Sequence[JointConfig], servo: GripperServo | None) -> None:
+    """Refuse a drive, of a joint or the gripper's `servo`, that is on no bus of the arm, and a bus without a joint's.
 
     The cycle asks a joint's drive on each bus for its status in turn.
     """
     for index, joint in enumerate(joints):
         _is_on_one(f"joints[{index}].bus", f"the drive of {joint.name}", joint.bus, buses)
-    if servo:
-        _is_on_one("gripper.servo.bus", "the gripper's drive", servo_bus, buses)
+    if servo is not None:
+        _is_on_one("gripper.servo.bus", "the gripper's drive", servo.bus, buses)
     used = {bus_number(buses, joint.bus) for joint in joints}
     for index, bus in enumerate(buses):
         if index not in used:
@@ -95,9 +96,10 @@ def _is_on_one(field: str, whose: str, name: str | None, buses: Sequence[BusConf
         return
     if name is None:
         raise refuse(
-            field, f"the arm has {len(buses)} buses, and nothing says on which {whose} is; add bus, one of "
-            f"{', '.join(known)}."
-        )  # fmt: skip
+            field,
+            f"the arm has {len(buses)} buses, and nothing says on which {whose} is; add bus, one of "
+            f"{', '.join(known)}.",
+        )
     if name not in known:
         allowed = (
             f"its buses are {', '.join(known)}; name one of them." if known else "its bus has no name; remove bus."

@@ -330,6 +330,11 @@ class ArmConfig(Section):
         return self.buses[self.bus_number(drive)]
 
     @property
+    def bus_names(self) -> tuple[str, ...]:
+        """Names of the buses for sentences, which name none where there is only one."""
+        return tuple(bus.name or "" for bus in self.buses) if len(self.buses) > 1 else ()
+
+    @property
     def parts(self) -> list[ArmConfig]:
         """The arm bus by bus: each as an arm of that bus alone, with the drives that are on it."""
         return [self] if len(self.buses) == 1 else [self._part(number) for number in range(len(self.buses))]
@@ -385,7 +390,7 @@ class ArmConfig(Section):
     def _buses_go_together(self) -> ArmConfig:
         check_buses(self.buses)
         servo = None if self.gripper is None else self.gripper.servo
-        check_places(self.buses, self.joints, None if servo is None else servo.bus, servo is not None)
+        check_places(self.buses, self.joints, servo)
         return self
 
     @model_validator(mode="after")

@@ -93,7 +93,7 @@ class Serving:
     def __init__(self, arm: ArmConfig) -> None:
         self.arm = arm
         self.joints = [joint.name for joint in arm.joints]
-        self.names = Names(self.joints, [bus.name or "" for bus in arm.buses] if len(arm.buses) > 1 else [])
+        self.names = Names(self.joints, arm.bus_names)
         self._lock = threading.Lock()
         self._link: Link | None = None
         self._absence = f"The control process of arm '{arm.name}' is not running: start it with {_start_command(arm)}."

@@ -109,9 +109,8 @@ class ControlProcess:
             self._claim = claim_for_arm(arm)
             self._loop = new_loop(arm, self._files.state.address, self._files.command.address)
             leave_to_cycle(arm.realtime.cpu)  # before the wires, which may have threads
-            self._buses = files.several_names(buses_of(arm))
             for number, part in enumerate(arm.parts):
-                name = self._buses[number] if self._buses else ""
+                name = arm.bus_names[number] if arm.bus_names else ""
                 wire = AttendedWire(part, number, name, self._loop, compiled, start=self._start_reader, tell=tell)
                 self._wires.append(wire)
                 wire.open()
@@ -422,7 +421,7 @@ class ControlProcess:
         told = (fault[name].item() for name in ("code", "joint", "value", "limit", "silent", "evidence"))
         code, joint, value, limit, silent, evidence = told
         names = [joint.name for joint in self._arm.joints]
-        return fault_told(code, joint, value, limit, silent, evidence, names, buses=self._buses)
+        return fault_told(code, joint, value, limit, silent, evidence, names, buses=self._arm.bus_names)
 
     def _run_shutdown_dialogue(self) -> None:
         """Turn off the reports of drives that send positions unasked; until the end the cycle polls them instead."""
