@@ -31,6 +31,14 @@ def value(status: Any, key: str) -> str:
     return str(next(pair.value for pair in status.values if pair.key == key))
 
 
+def is_blamed(found: dict[str, Any], doubtful: int, level: bytes, why: str = "") -> None:
+    """Both what is said of all buses and of one is that one's doubt; the other is in order."""
+    for part in ("bus", f"bus {NAMES[doubtful]}"):
+        assert found[part].level == level
+        assert found[part].message.startswith(f"Bus {NAMES[doubtful]}: {why}")
+    assert found[f"bus {NAMES[1 - doubtful]}"].level == DiagnosticStatus.OK
+
+
 def test_each_of_several_buses_has_a_status_of_its_own() -> None:
     arm, diagnostics = of(divided("episode1"))
     found = statuses(arm, diagnostics)
@@ -55,11 +63,7 @@ def test_a_doubtful_bus_is_named_and_the_other_is_in_order(doubtful: int) -> Non
     statuses(arm, diagnostics)
     record = arm.state.record
     record["buses"]["bus_state"][doubtful] = record["counters"]["bus_state"] = BusState.PASSIVE
-    found = statuses(arm, diagnostics)
-    for part in ("bus", f"bus {NAMES[doubtful]}"):
-        assert found[part].level == DiagnosticStatus.ERROR
-        assert found[part].message.startswith(f"Bus {NAMES[doubtful]}: The CAN controller is error-passive")
-    assert found[f"bus {NAMES[1 - doubtful]}"].level == DiagnosticStatus.OK
+    is_blamed(statuses(arm, diagnostics), doubtful, DiagnosticStatus.ERROR, "The CAN controller is error-passive")
     arm.close()
 
 
@@ -70,11 +74,7 @@ def test_a_bus_on_which_nobody_acknowledges_is_named() -> None:
     record["buses"]["bus_state"][0] = record["counters"]["bus_state"] = BusState.WARNING
     record["buses"]["unacknowledged"][1] += 2
     record["counters"]["unacknowledged"] += 2
-    found = statuses(arm, diagnostics)
-    for part in ("bus", f"bus {NAMES[1]}"):
-        assert found[part].level == DiagnosticStatus.WARN
-        assert found[part].message.startswith(f"Bus {NAMES[1]}: ")
-    assert found[f"bus {NAMES[0]}"].level == DiagnosticStatus.OK
+    is_blamed(statuses(arm, diagnostics), 1, DiagnosticStatus.WARN)
     arm.close()
 
 

@@ -10,50 +10,22 @@ import can
 import numpy as np
 import pytest
 from can_records import error_record, record
-from memory_front import MemoryFront
 from observer import WireFrame, command_violations, motion_after, motion_frames, motion_violations
 from stack import Stack, run_rtarm
-from vcan_arm import JOINTS, RATE_HZ, start_on_vcan
+from vcan_arm import JOINTS, RATE_HZ, RunningArm, start_on_vcan
 
 from rtloop.wire import can_words
 from shm.words import Answer, BusState, Fault, Mode, Outcome, Request
 
 NAME = "onvcan"
-PATIENCE_S = 120.0
 SO_RCVBUFFORCE = 33
 HOUR_NS = 3600 * 10**9
 GOALS = Path(__file__).parents[1] / "data" / "moveit"
 
 
-class Arm(MemoryFront):
-    """A running arm whose front is this process."""
-
-    def __init__(self, folder):
-        self.stack = Stack(NAME, folder)
-        try:
-            start_on_vcan(self.stack)
-            self.loop = self.stack.start_loop()
-        except BaseException:
-            self.stack.close()
-            raise
-        super().__init__(self.stack.arm_file, PATIENCE_S)
-
-    def close(self):
-        super().close()
-        self.stack.close()
-
-    def under_way(self, goal):
-        """Wait until a goal has run for a second."""
-        self.until(lambda now: now["goal_id"] == goal and now["trajectory_clock_ns"] > 1e9)
-
-    def clear(self):
-        assert self.answer(Request.CLEAR_FAULT) == Answer.DONE
-        self.until(lambda now: now["mode"] == Mode.HOLDING)
-
-
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
-    running = Arm(tmp_path_factory.mktemp("vcan"))
+    running = RunningArm(Stack(NAME, tmp_path_factory.mktemp("vcan")), start_on_vcan)
     yield running
     running.close()
 
