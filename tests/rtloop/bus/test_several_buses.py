@@ -15,6 +15,7 @@ from virtual import START_NS, VirtualArm, recorded_goal
 from config.frames import ADAPTER_FRAMES
 from config.loader import known_arms, load_arm
 from config.schema import ArmConfig
+from rtloop.bus.measured import ENETDOWN
 from rtloop.process.run import take_over_wire
 from rtloop.wire import can_words, received
 from shm.words import Answer, BusState, Evidence, Fault, Mode, Outcome, Request, Unreferenced
@@ -211,6 +212,43 @@ def test_frames_that_a_dead_bus_takes_no_more_leave_room_on_the_other() -> None:
     cycles = int(arm.memory["timing"]["cycle"] - before)
     given = [len(frames_in(sent)) - count for sent, count in zip(arm.sent_on, since, strict=True)]
     assert given[WRIST] <= ADAPTER_FRAMES < 10 * cycles == given[SHOULDER]  # two of each target, questions, a status
+    arm.close()
+
+
+troubles = st.lists(
+    st.tuples(st.sampled_from(("wire", "link", "off", "silent", "back")), st.integers(0, 1), st.integers(1, 60)),
+    min_size=1,
+    max_size=4,
+)
+"""What befalls which bus, and for how many cycles it lasts until the next."""
+
+
+@settings(deadline=None, max_examples=examples(25))
+@given(st.integers(20, 150), troubles)
+def test_whatever_befalls_either_bus_the_arm_comes_to_rest(cycles: int, befalls: list[tuple[str, int, int]]) -> None:
+    """Nothing leaves on a wire that is gone, every goal ends, and nothing moves afterwards."""
+    arm = moving(divided("episode1", ON_SOCKETCAN), cycles)
+    gone: dict[int, int] = {}  # and how many times its wire had taken something
+    for what, bus, lasts in befalls:
+        if what in ("wire", "link") and bus not in gone:
+            close_wire(arm, bus, 5 if what == "wire" else ENETDOWN)
+            gone[bus] = len(arm.sent_on[bus])
+        elif what == "back" and bus in gone:
+            open_wire(arm, bus)
+            del gone[bus]
+        elif what == "off":
+            arm.receive(arm.now_ns, error_record(can_words.BUS_OFF), bus)
+        elif what == "silent":
+            arm.sims[bus].inject(Silent(arm.arm.parts[bus].joints[0].name, at_s=0.0), since_ns=arm.now_ns)
+        arm.cycles(lasts)
+        assert {bus: len(arm.sent_on[bus]) for bus in gone} == gone
+    arm.until(lambda: arm.running_goal == 0)
+    arm.cycles(150)
+    since_ns = arm.now_ns
+    arm.cycles(50)
+    for sim in arm.sims:
+        assert motion_after(truth_of(sim), since_ns, sim.now_ns) == []
+    assert violations(arm) == []
     arm.close()
 
 
