@@ -10,7 +10,7 @@ from live import NS, LiveStack
 
 from compilation.jit import jit
 from config.loader import load_arm
-from config.schema import RealtimeConfig
+from config.sections import RealtimeConfig
 from rtloop.process.initial_state import new_loop
 from rtloop.process.run import monotonic_ns
 from rtloop.system import realtime

@@ -16,7 +16,8 @@ from config.drives.drive import Drive
 from config.errors import ConfigError
 from config.frames import ADAPTER_FRAMES, CycleFrames, PeriodicFrames
 from config.gripper import MOVING_POLL_HZ
-from config.schema import ArmConfig, ControlConfig
+from config.schema import ArmConfig
+from config.sections import ControlConfig
 from config.serial_adapters import SERIAL_ADAPTERS, SerialAdapter
 
 UART_BITS_PER_CHARACTER = 10

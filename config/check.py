@@ -19,7 +19,8 @@ from config.buses import places
 from config.derived import DerivedJoint, derived_table
 from config.errors import ConfigError
 from config.joint import JointConfig
-from config.schema import LOWEST_JOINT_STATES_HZ, ArmConfig
+from config.schema import ArmConfig
+from config.sections import LOWEST_JOINT_STATES_HZ
 from config.serial_adapters import SERIAL_ADAPTERS
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from config.joint import JointConfig
 from config.ramp import coast_rad, nearest_silence_byte, ramp_rad_s2, smallest_acc_byte, stop_time_s
-from config.schema import ArmConfig, LimitsConfig
+from config.schema import ArmConfig
+from config.sections import LimitsConfig
 
 LEAD_PERIODS = 1.0
 """Periods of motion by which a target sent with FD leads the next setpoint, braking distance apart; with FC none.

@@ -29,7 +29,8 @@ from rtarm.client.partner import STOP_S, WORD_PATIENCE_S, Partner, Silent
 from rtarm.client.player import Player
 from rtarm.console.errors import Refusal
 from rtarm.console.reporter import Reporter
-from rtarm.launch.launcher import Launcher, action_name, load_plan, override_arguments
+from rtarm.launch.launcher import Launcher, action_name
+from rtarm.launch.plan import load_plan, override_arguments
 from rtarm.processes import describe_end, plain_environment, ros_environment
 from rtarm.running.arm_file import SIMULATED_CHANNEL
 from rtarm.running.tracking import Window

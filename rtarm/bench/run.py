@@ -18,7 +18,7 @@ from pathlib import Path
 
 from config.budget import budget
 from config.loader import load_arm
-from config.schema import RealtimeConfig
+from config.sections import RealtimeConfig
 from rtarm.bench import plot
 from rtarm.bench.competitors import FASTEST_BUS, Bench, Competitor, GoalClient, cyclictest, everybody
 from rtarm.bench.load import described, loaded
@@ -28,8 +28,8 @@ from rtarm.bench.results import LOADS, WHO, Measurements, Slice, document
 from rtarm.console.errors import ExitCode, Refusal
 from rtarm.console.interrupt import Interrupted, interruptible
 from rtarm.console.reporter import Reporter
-from rtarm.launch.launcher import check_ros
 from rtarm.launch.own_domain import own_domain
+from rtarm.launch.plan import check_ros
 from rtarm.processes import describe_end, has_module, plain_environment
 from rtarm.running.arm_file import SIMULATED_CHANNEL
 from rtarm.why_late.tracefs import place

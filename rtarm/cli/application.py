@@ -100,7 +100,7 @@ def up(
     Example: [bold]rtarm up episode1 --interface slcan --channel /dev/ttyACM0[/bold]
     """
     with sentences():
-        from rtarm.launch.launcher import load_plan
+        from rtarm.launch.plan import load_plan
         from rtarm.launch.up import up as run
 
         if sim and (interface is not None or channel is not None):

@@ -20,7 +20,8 @@ import numpy as np
 
 from config.schema import ArmConfig
 from rtarm.console.errors import Refusal
-from rtarm.launch.launcher import action_name, check_ros
+from rtarm.launch.launcher import action_name
+from rtarm.launch.plan import check_ros
 from rtarm.processes import READY, ros_environment
 from shm import files
 

@@ -30,9 +30,10 @@ from rtarm.console.interrupt import Interrupted
 from rtarm.console.reporter import Reporter
 from rtarm.demo.goals import Goal, load_goal
 from rtarm.demo.goals.made import goals_for
-from rtarm.launch.launcher import Launcher, Plan, action_name, load_plan
+from rtarm.launch.launcher import Launcher, action_name
 from rtarm.launch.own_domain import own_domain
 from rtarm.launch.page import PageBeside
+from rtarm.launch.plan import Plan, load_plan
 from rtarm.launch.up import run_launched
 from rtarm.running.referencing import reference
 from rtarm.running.requests import connect

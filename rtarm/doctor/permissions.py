@@ -6,7 +6,8 @@ import contextlib
 import re
 from pathlib import PurePosixPath
 
-from config.schema import ArmConfig, RealtimeConfig
+from config.schema import ArmConfig
+from config.sections import RealtimeConfig
 from rtarm.doctor.finding import Found, Level, Write, bad, note, ok, warn
 from rtarm.doctor.machine import Granted, Machine, Unknown, cpu_list
 

@@ -121,7 +121,7 @@ class OfflineProcess:
 @contextmanager
 def offline_process(module: str, arm: str, overrides: Mapping[str, Any]) -> Iterator[OfflineProcess]:
     """The process for an arm, ended whatever happens."""
-    from rtarm.launch.launcher import override_arguments
+    from rtarm.launch.plan import override_arguments
 
     # nothing is brought up and nothing is punctual here, so what the file wants of both must not keep it from starting
     at_ease = {"control": {"init_mode": 1}, "realtime": {"require": False}}

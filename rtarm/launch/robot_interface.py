@@ -29,7 +29,7 @@ from rosfront.start_parameters import (
 )
 from rtarm.console.errors import ExitCode, Refusal, foreseen
 from rtarm.console.reporter import LastingConsole, Reporter
-from rtarm.launch.launcher import check_ros, load_plan, parameter_arguments
+from rtarm.launch.plan import check_ros, load_plan, parameter_arguments
 from rtarm.launch.up import up
 from rtarm.processes import ros_environment
 

@@ -9,7 +9,8 @@ from rtarm.console.errors import ExitCode
 from rtarm.console.interrupt import Interrupted, interruptible
 from rtarm.console.reporter import Reporter
 from rtarm.launch import service_manager
-from rtarm.launch.launcher import Launcher, Plan
+from rtarm.launch.launcher import Launcher
+from rtarm.launch.plan import Plan
 from rtarm.running.referencing import Reading, lacking, lacking_words, next_commands
 
 

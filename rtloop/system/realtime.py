@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from config.schema import RealtimeConfig
+from config.sections import RealtimeConfig
 
 THREAD_STACK_BYTES = 512 * 1024
 """Stack size of the cycle's and the reader's thread, all of it locked; their code nests only a few small frames."""

@@ -18,14 +18,8 @@ from config.errors import ConfigError
 from config.geometry import DhRow, KinematicsConfig
 from config.joint import JointConfig
 from config.loader import load_arm
-from config.schema import (
-    ArmConfig,
-    ControlConfig,
-    FrontConfig,
-    LimitsConfig,
-    RealtimeConfig,
-    TrajectoryConfig,
-)
+from config.schema import ArmConfig
+from config.sections import ControlConfig, FrontConfig, LimitsConfig, RealtimeConfig, TrajectoryConfig
 
 # Facts of the Episode1 arm: joint, ratio, zero, lower, upper, motor rpm, velocity, acceleration, pulse.
 EPISODE1 = [

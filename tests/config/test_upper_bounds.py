@@ -11,7 +11,8 @@ from pydantic.fields import FieldInfo
 
 from config.errors import ConfigError
 from config.loader import load_arm
-from config.schema import ArmConfig, LimitsConfig, TrajectoryConfig
+from config.schema import ArmConfig
+from config.sections import LimitsConfig, TrajectoryConfig
 from rtloop.process.initial_state import new_loop
 
 BOUND_BY_OTHERS = {

@@ -15,7 +15,7 @@ import pytest
 
 from rtarm import processes
 from rtarm.console.errors import Refusal
-from rtarm.launch import first_use, launcher
+from rtarm.launch import first_use, plan
 from rtarm.processes import WHEELS_GUARD, ros_environment
 from rtarm_interfaces import build
 
@@ -110,7 +110,7 @@ def test_the_cycle_is_compiled_while_messages_are_generated(
         (place.python / package.name).mkdir(parents=True)
 
     monkeypatch.setattr(build, "compile_into", meet)
-    launcher.check_ros()
+    plan.check_ros()
     said = re.sub(r"\d+ s", "N s", capsys.readouterr().err)
     for step in ("step 1 of 2: ROS messages", "step 2 of 2: the control cycle"):
         assert f"{step}, about N s …\n" in said and f"{step}, N s\n" in said
@@ -120,10 +120,10 @@ def test_the_cycle_is_compiled_while_messages_are_generated(
 def test_where_rclpy_is_missing_what_can_be_done_there_is_said(
     monkeypatch: pytest.MonkeyPatch, machine: str, remedy: str
 ) -> None:
-    monkeypatch.setattr(launcher, "has_module", lambda _: False)
-    monkeypatch.setattr(launcher.platform, "machine", lambda: machine)
+    monkeypatch.setattr(plan, "has_module", lambda _: False)
+    monkeypatch.setattr(plan.platform, "machine", lambda: machine)
     with pytest.raises(Refusal) as refused:
-        launcher.check_ros()
+        plan.check_ros()
     assert remedy in str(refused.value)
 
 
@@ -136,14 +136,14 @@ def test_what_fails_ends_the_compiler_beside_it(monkeypatch: pytest.MonkeyPatch,
 
     monkeypatch.setattr(build, "compile_into", fail)
     with pytest.raises(Refusal):
-        launcher.check_ros()
+        plan.check_ros()
 
 
 def test_a_cache_that_cannot_be_written_is_one_sentence(monkeypatch: pytest.MonkeyPatch, fresh_cache: Path) -> None:
     lacking_everything(monkeypatch)
     fresh_cache.parent.write_text("a file", encoding="utf-8")
     with pytest.raises(Refusal) as refused:
-        launcher.check_ros()
+        plan.check_ros()
     assert str(refused.value).startswith(f"{fresh_cache} cannot be written (Not a directory)")
     assert "XDG_CACHE_HOME" in str(refused.value)
 
@@ -154,7 +154,7 @@ def test_a_missing_compiler_is_said_before_anything_is_made(monkeypatch: pytest.
     monkeypatch.setattr(build, "check_tools", checked)
     monkeypatch.setattr(build, "find_program", lambda *_: None)
     with pytest.raises(Refusal) as refused:
-        launcher.check_ros()
+        plan.check_ros()
     assert "apt-get install gcc g++" in str(refused.value)
     assert not fresh_cache.exists()
 
@@ -170,7 +170,7 @@ def test_what_fails_leaves_nothing_behind(
 
     monkeypatch.setattr(build, "compile_into", fail)
     with pytest.raises(Refusal) as refused:
-        launcher.check_ros()
+        plan.check_ros()
     assert str(refused.value).splitlines()[0] == "out of memory"
     assert "the compilation failed" in str(refused.value)
     assert list(fresh_cache.iterdir()) == []
@@ -189,7 +189,7 @@ def test_a_full_disk_at_first_use_is_one_sentence(monkeypatch: pytest.MonkeyPatc
     lacking_everything(monkeypatch)
     monkeypatch.setattr(build.shutil, "copytree", full)
     with pytest.raises(Refusal) as refused:
-        launcher.check_ros()
+        plan.check_ros()
     assert str(refused.value).startswith(f"{fresh_cache} cannot be written ({NO_SPACE})")
     assert list(fresh_cache.iterdir()) == []
 

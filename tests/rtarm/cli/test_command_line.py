@@ -23,7 +23,7 @@ from written_arm import JOINTS, WrittenArm
 from config.loader import ARMS_FOLDER
 from rtarm.cli.application import app
 from rtarm.console.errors import MEANINGS, ExitCode
-from rtarm.launch import launcher
+from rtarm.launch import plan
 
 
 def commands(group: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -317,8 +317,8 @@ def test_config_check_shows_the_budget_of_a_rate_that_does_not_fit(arm_file: Pat
 def test_missing_ros_is_said_before_anything_starts(
     missing: str, remedy: str, rtarm: Rtarm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(launcher, "has_module", lambda name: name != missing)
-    monkeypatch.setattr(launcher, "generated_types", lambda: False)
+    monkeypatch.setattr(plan, "has_module", lambda name: name != missing)
+    monkeypatch.setattr(plan, "generated_types", lambda: False)
     result = rtarm("up", "mock")
     assert (result.exit_code, result.stdout) == (1, "")
     assert result.stderr.startswith(f"{missing} is not installed")

@@ -19,7 +19,8 @@ from config.loader import load_arm, parse_overrides
 from rtarm import processes
 from rtarm.console.errors import ExitCode
 from rtarm.console.reporter import Reporter
-from rtarm.launch.launcher import Launcher, action_name, describe_bus, load_plan, override_arguments
+from rtarm.launch.launcher import Launcher, action_name, describe_bus
+from rtarm.launch.plan import load_plan, override_arguments
 from rtarm.processes import WHEELS_GUARD, describe_end, plain_environment, ros_environment
 from rtarm.running.arm_file import arm_file, with_buses
 

@@ -27,7 +27,7 @@ from waiting import until
 from config.errors import ConfigError
 from config.loader import load_arm
 from rosfront.start_parameters import START, BadParameter, read_given
-from rtarm.launch.launcher import load_plan, parameter_arguments
+from rtarm.launch.plan import load_plan, parameter_arguments
 from rtarm.launch.robot_interface import PARAMETER_FLAGS, Start, front_arguments, remarks
 
 # ROS takes names of letters, digits and single _, and reads texts that look like something else only in quotes.

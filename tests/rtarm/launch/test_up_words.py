@@ -16,7 +16,7 @@ from rtarm.console.errors import ExitCode
 from rtarm.console.interrupt import STOP_SIGNALS
 from rtarm.console.reporter import Reporter
 from rtarm.launch import up as up_module
-from rtarm.launch.launcher import Plan
+from rtarm.launch.plan import Plan
 from shm.words import Unreferenced
 
 

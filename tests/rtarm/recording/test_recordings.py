@@ -32,6 +32,7 @@ from config.loader import load_arm
 from rtarm.console.errors import Refusal
 from rtarm.console.reporter import Reporter
 from rtarm.launch import launcher
+from rtarm.launch.plan import Plan
 from rtarm.recording import __main__ as writer_process
 from rtarm.recording import after_fault, folder, make, mcap_format, mcap_reader, mcap_writer, story
 from rtarm.recording.after_fault import FaultRecorder
@@ -1014,7 +1015,7 @@ def test_a_recorder_that_ends_does_not_end_the_launcher(
         await asyncio.Event().wait()
 
     async def watched() -> None:
-        plan = launcher.Plan(load_arm(str(mock_file)), str(mock_file), {}, simulated=False)
+        plan = Plan(load_arm(str(mock_file)), str(mock_file), {}, simulated=False)
         started = launcher.Launcher(plan, Reporter(Console(file=io.StringIO())))
         started._loop = object()  # type: ignore[assignment]
         watch = asyncio.create_task(started.watch())
