@@ -3,6 +3,7 @@
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -86,7 +87,7 @@ def _kept(module: str, tests: dict[str, list[tuple[str, str]]]) -> dict[str, Any
     about = (sys.modules[module].__doc__ or "").strip()
     return {
         "benchmark": module,
-        "about": [" ".join(paragraph.split()) for paragraph in about.split("\n\n")],
+        "about": [" ".join(paragraph.split()) for paragraph in re.split(r"\n\n|\n(?=- )", about)],
         "command": f".venv/bin/python -m pytest bench/{module}.py",
         "settings": {name: value for name, value in sorted(os.environ.items()) if name.startswith("RTARM_")},
         "when": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
