@@ -1,5 +1,6 @@
 """The wire of one bus while the control process runs: opened, given to its threads, let go, opened again."""
 
+import functools
 import threading
 import time
 from collections.abc import Callable
@@ -11,13 +12,14 @@ from rtloop.memory.link import Bus
 from rtloop.memory.state import Loop
 from rtloop.process.compiled import CompiledCycle
 from rtloop.process.opening import OpenWire, close_wire, keeps_frames, lost_bytes, open_wire, unsent_bytes
+from rtloop.system import realtime
 from rtloop.wire.refusal import WireRefused
 from sentences.english import STILL_QUEUED, WIRE_IS_BACK
 from sentences.told import of_bus
 from shm.record import offset_of
 
+LOOK_EVERY_S = 0.05
 REOPEN_EVERY_S = 0.5
-LOST_EVERY_S = 1.0
 LET_GO_POLL_S = 0.001
 
 
@@ -48,9 +50,9 @@ class AttendedWire:
         self._tell = tell
         self._wire: OpenWire | None = None
         self._reader: threading.Thread | None = None
+        self._attending: threading.Thread | None = None
+        self._ends = threading.Event()
         self._dropped_before = self._unsent_before = 0
-        self._next_try_s = self._next_lost_s = 0.0
-        self._told = ""
 
     @property
     def _channel(self) -> str:
@@ -96,35 +98,44 @@ class AttendedWire:
         self._compiled.read_wire(kept.ctypes.data, self._number)
 
     def attend(self, cycle_is_alive: Callable[[], bool]) -> None:
-        """Detect that the adapter is gone, and reopen it when it is back; only an operator's clear moves the arm.
+        """Start the thread that detects that the adapter is gone, and reopens it when it is back.
 
-        An adapter that is there and does not open keeps the caller for as long as that takes (SLCAN: 0.35 s).
+        Only an operator's clear moves the arm then. Each wire has a thread of its own for it, because an adapter that
+        is there and does not open keeps whoever tries for 0.35 s (SLCAN), or as long as its library likes (python-can).
         """
-        if self._arm.bus.interface == "mock":
-            return
-        now_s = time.monotonic()
-        if self._wire is None:
-            if now_s >= self._next_try_s:
-                self._next_try_s = now_s + REOPEN_EVERY_S
-                self._try_again()
-        elif self._is_gone:
-            self._let_go(self._wire, cycle_is_alive)
-            self._next_try_s = now_s
-        elif now_s >= self._next_lost_s:
-            self._next_lost_s = now_s + LOST_EVERY_S
-            self._count_lost(self._wire)
+        if self._wire is not None:
+            attend = functools.partial(self._attend, cycle_is_alive)
+            self._attending = threading.Thread(target=attend, name="adapter", daemon=True)
+            self._attending.start()
 
-    def join_reader(self, patience_s: float) -> None:
-        """Wait until its reader has ended, which the stop word asks it to."""
-        if self._reader is not None:
-            self._reader.join(patience_s)
+    def leave(self) -> None:
+        """Ask the thread that `attend` has started to end."""
+        self._ends.set()
+
+    def join(self, patience_s: float) -> None:
+        """Wait until both threads have ended, of which the stop word asks the reader to."""
+        for thread in (self._attending, self._reader):
+            if thread is not None:
+                thread.join(patience_s)
 
     def release(self) -> None:
-        """Close it, at the end."""
+        """Close it, at the end; one that is just being opened is left to the system, which closes it."""
+        if self._attending is not None and self._attending.is_alive():
+            return
         if self._wire is not None:
             if keeps_frames(self._arm, self._wire):
                 self._say(STILL_QUEUED.sentence.format(channel=self._channel))
             self._close(self._wire)
+
+    def _attend(self, cycle_is_alive: Callable[[], bool]) -> None:
+        realtime.leave_signals_to_main()
+        while not self._ends.wait(LOOK_EVERY_S):
+            if self._wire is None:
+                self._reopen()
+            elif self._is_gone:
+                self._let_go(self._wire, cycle_is_alive)
+            else:
+                self._count_lost(self._wire)
 
     def _count_lost(self, wire: OpenWire) -> None:
         """Pass to the cycle the counts of dropped and unsent bytes, which ordinary Python alone can find out."""
@@ -141,18 +152,22 @@ class AttendedWire:
             self._reader = None
         self._close(wire)
         self._store(self._unsent_before + unsent_bytes(wire), "received", "arrived", "unsent")
-        self._told = ""
 
-    def _try_again(self) -> None:
-        try:
-            self.open()
-        except WireRefused as refused:
-            if str(refused) != self._told:
-                self._tell(str(refused))
-            self._told = str(refused)
-            return
-        self.start_reader()
-        self._say(WIRE_IS_BACK)
+    def _reopen(self) -> None:
+        """Open it again as soon as that can be done; each reason why it cannot is told once, until there is another."""
+        told = ""
+        while not self._ends.is_set():
+            try:
+                self.open()
+            except WireRefused as refused:
+                if str(refused) != told:
+                    told = str(refused)
+                    self._tell(told)
+                self._ends.wait(REOPEN_EVERY_S)
+            else:
+                self.start_reader()
+                self._say(WIRE_IS_BACK)
+                return
 
     def _close(self, wire: OpenWire) -> None:
         for complaint in close_wire(self._arm, wire):

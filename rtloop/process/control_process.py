@@ -138,6 +138,8 @@ class ControlProcess:
         """
         try:
             self._start_threads()
+            for wire in self._wires:
+                wire.attend(self._cycle.is_alive)
             code = self._supervise(ready, clears_protection)
             self._run_shutdown_dialogue()
         except DialogueFailed as failure:  # the cycle takes no orders any more
@@ -206,7 +208,7 @@ class ControlProcess:
         threading.stack_size(realtime.THREAD_STACK_BYTES)
         for wire in self._wires:
             wire.start_reader()
-        self._start(self._cycle)  # the last: it publishes the scheduling that all threads were given
+        self._start(self._cycle, self._prepared)  # the last: it publishes the scheduling that all threads were given
         while int(self._memory["timing"]["cycle"]) == 0 and self._cycle.is_alive():
             time.sleep(FIRST_CYCLE_POLL_S)  # compiled code is being loaded; no conversation's timeout may run meanwhile
         for complaint in self._obtained.complaints:
@@ -219,20 +221,22 @@ class ControlProcess:
 
     def _start_reader(self, read: Callable[[], None]) -> threading.Thread:
         """Start the thread of a wire's reader."""
+        prepared = threading.Event()
 
         def run() -> None:
             realtime.prepare_thread(self._arm.realtime, self._obtained, below=10)
-            self._prepared.set()
+            prepared.set()
             read()
 
         reader = threading.Thread(target=run, name="reader", daemon=True)
-        self._start(reader)
+        self._start(reader, prepared)
         return reader
 
-    def _start(self, thread: threading.Thread) -> None:
-        self._prepared.clear()
+    @staticmethod
+    def _start(thread: threading.Thread, prepared: threading.Event) -> None:
+        """Start it, and wait until it has been prepared."""
         thread.start()
-        while not self._prepared.wait(FIRST_CYCLE_POLL_S) and thread.is_alive():
+        while not prepared.wait(FIRST_CYCLE_POLL_S) and thread.is_alive():
             pass
 
     def _run_cycle(self) -> None:
@@ -249,11 +253,13 @@ class ControlProcess:
             self._tell("The control cycle ended by an exception, which is a defect of rtarm: please report it.")
 
     def _end_threads(self) -> None:
+        for wire in self._wires:
+            wire.leave()
         self._store(1, "stop")
         if self._cycle.ident is not None:
             self._cycle.join(THREAD_PATIENCE_S)
         for wire in self._wires:
-            wire.join_reader(THREAD_PATIENCE_S)
+            wire.join(THREAD_PATIENCE_S)
 
     def _release(self) -> None:
         for wire in self._wires:
@@ -365,8 +371,6 @@ class ControlProcess:
         while True:
             time.sleep(BUSY_POLL_S if talk or first or closing_until_s or self._gripper_is_busy() else IDLE_POLL_S)
             now_s = time.monotonic()
-            for wire in self._wires:
-                wire.attend(self._cycle.is_alive)
             self._keep_newly_lost()
             if self._gripper is not None:
                 self._gripper.poll(time.monotonic_ns())

@@ -84,7 +84,7 @@ def tell(sentence: str) -> None:
 def say(line: str, stream: TextIO) -> None:
     """Print a line; if nobody can read the stream any more, it goes to /dev/null from now on."""
     try:
-        print(line, file=stream, flush=True)
+        print(f"{line}\n", end="", file=stream, flush=True)  # one piece: several threads have lines to print
     except OSError as problem:
         if problem.errno in NOBODY_READS:
             nowhere = os.open(os.devnull, os.O_WRONLY)

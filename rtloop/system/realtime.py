@@ -82,12 +82,17 @@ def prepare_process(used: Iterable[Range]) -> Obtained:
     return obtained
 
 
+def leave_signals_to_main() -> None:
+    """Block all signals in the calling thread, since handlers are the main thread's."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals() - _OWN_FAULTS)
+
+
 def prepare_thread(wanted: RealtimeConfig, obtained: Obtained, *, below: int = 0) -> None:
     """Set up the calling thread: lock its stack, set its real-time priority (`below` the configured one) and its CPU.
 
     `obtained` gets what was granted and refused. Priority and CPU are noted for the cycle's thread alone (`below` 0).
     """
-    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals() - _OWN_FAULTS)  # handlers are the main thread's
+    leave_signals_to_main()
     _lock([_own_stack()], obtained)
     _libc().prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # else, without real-time priority, each wake-up is 50 µs late
     priority = max(wanted.priority - below, 1)
@@ -120,7 +125,7 @@ def prepare_helper(wanted: RealtimeConfig, *, below: int) -> None:
 
     It does not get the cycle's CPU. A refused priority is not reported, since the cycle's thread has reported it then.
     """
-    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals() - _OWN_FAULTS)  # handlers are the main thread's
+    leave_signals_to_main()
     _libc().prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     with contextlib.suppress(OSError):
         priority = max(wanted.priority - below, 1)

@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -27,10 +28,11 @@ from waiting import until
 from compilation import cache
 from config.loader import load_arm
 from rtloop.kept import reference_store
-from rtloop.process import compiled
+from rtloop.process import attended_wire, compiled, control_process
 from rtloop.process.control_process import ControlProcess, StopAsked
 from rtloop.service.port import BRING_UP_DONE, BRING_UP_FAILED, ServicePort
 from rtloop.system import realtime
+from rtloop.wire.refusal import WireRefused
 from shm.client import StateReader
 from shm.errors import NotRunning
 from shm.files import DIRECTORY, open_state
@@ -393,6 +395,38 @@ def test_an_end_amid_the_bring_up_keeps_where_the_joints_stood_before(deaf_arm, 
     stop_asked.yes = True
     assert ControlProcess(arm, compiled.load(), lambda sentence: None, stop_asked).serve(lambda: None) == 0
     assert reference_store.counts_before(arm) == {0: 7}
+
+
+def test_an_adapter_whose_opening_does_not_end_holds_up_neither_conversations_nor_the_end(
+    arm_name, tmp_path, unlocked, monkeypatch
+):
+    """The library of an adapter that is plugged in again may wait for it for ever."""
+    master, slave = pty.openpty()
+    channel = os.ttyname(slave)
+    os.close(slave)
+    arm = load_arm(write_arm("episode1", arm_name, tmp_path), overrides={"bus": {"channel": channel}})
+    told, codes, opens, opened = [], [], threading.Event(), threading.Event()
+    process = ControlProcess(arm, compiled.load(), told.append, StopAsked([]))
+
+    def open_wire(_):
+        opens.set()
+        opened.wait()
+        raise WireRefused("It has been opened too late.")
+
+    monkeypatch.setattr(attended_wire, "open_wire", open_wire)
+    monkeypatch.setattr(control_process, "THREAD_PATIENCE_S", 0.1)
+    serving = threading.Thread(target=lambda: codes.append(process.serve(lambda: None)))
+    serving.start()
+    os.close(master)
+    try:
+        assert opens.wait(PATIENCE_S)
+        serving.join(PATIENCE_S)  # the bring-up of drives that are silent has failed meanwhile, and ends the process
+        assert codes == [2], told
+    finally:
+        opened.set()
+    until(lambda: "It has been opened too late." in told, "the end of the opening")
+    with pytest.raises(NotRunning):
+        open_state(arm.name)
 
 
 @pytest.mark.process
