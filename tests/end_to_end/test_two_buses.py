@@ -1,69 +1,26 @@
 """An arm whose wrist is on a bus of its own, with the identifiers of the shoulder's drives: real processes."""
 
 import contextlib
-import math
-import signal
 import time
 
 import numpy as np
 import pytest
-from arm_files import edited
-from stack import PATIENT, Process, Stack
-from two_buses import NAMES, write_divided
+from divided_stack import DividedStack
+from two_buses import NAMES
 
 pytest.importorskip("rclpy")
 pytest.importorskip("control_msgs")
 
-from observer import life_violations, stands_since_ns
+from observer import stands_since_ns
 from ros_client import ABORTED, SUCCEEDED, Client, recorded
 from waiting import until
 
 from config.loader import load_arm
-from sim.truth import load_truth
 
 pytestmark = pytest.mark.process
 
 SHOULDER, WRIST = NAMES
 GOAL = "large"
-
-
-class DividedStack(Stack):
-    """Such an arm, with a simulator at each of its buses."""
-
-    def __init__(self, name, folder, start_rad):
-        super().__init__(name, folder, start_deg=[math.degrees(angle) for angle in start_rad])
-        self.links = {bus: folder / f"tty_{bus}" for bus in NAMES}
-        self.truth_files = {bus: folder / f"truth_{bus}.npz" for bus in NAMES}
-        front = {"controller_name": f"controller_{name}"}
-        write_divided("episode1", self.arm_file, name=name, limits=PATIENT, front=front)
-        with edited(self.arm_file) as values:
-            for bus in values["bus"]:
-                bus["channel"] = str(self.links[bus["name"]])
-        self.parts = dict(zip(NAMES, load_arm(self.arm_file).parts, strict=True))
-        self.sims = {}
-
-    def start_sims(self):
-        start = "--start-deg=" + ",".join(str(angle) for angle in self._start_deg)
-        for bus in NAMES:
-            place = ("--link", str(self.links[bus]), "--truth", str(self.truth_files[bus]))
-            self.sims[bus] = self._keep(Process("sim", "--arm", str(self.arm_file), "--bus", bus, *place, start))
-        for sim in self.sims.values():
-            sim.line_with("ready")
-
-    def truth_of(self, bus):
-        self.sims[bus].process.send_signal(signal.SIGUSR1)
-        self.sims[bus].line_with("truth")
-        return load_truth(self.truth_files[bus])
-
-    def unplug_bus(self, bus):
-        self.links[bus].unlink()
-        self.sims[bus].process.kill()
-
-    def _look(self):
-        for bus, file in self.truth_files.items():
-            if file.exists():
-                self._found += life_violations(self.parts[bus], load_truth(file))
-                file.unlink()
 
 
 @pytest.fixture
