@@ -105,18 +105,23 @@ class AttendedWire:
         """
         if self._wire is not None:
             attend = functools.partial(self._attend, cycle_is_alive)
-            self._attending = threading.Thread(target=attend, name="adapter", daemon=True)
-            self._attending.start()
+            attending = threading.Thread(target=attend, name="adapter", daemon=True)
+            attending.start()
+            self._attending = attending
 
     def leave(self) -> None:
         """Ask the thread that `attend` has started to end."""
         self._ends.set()
 
-    def join(self, patience_s: float) -> None:
-        """Wait until both threads have ended, of which the stop word asks the reader to."""
-        for thread in (self._attending, self._reader):
-            if thread is not None:
-                thread.join(patience_s)
+    def join(self, until_s: float) -> None:
+        """Wait until both threads have ended, until `until_s` (time.monotonic) at the latest; see `leave`.
+
+        The reader ends because of the stop word.
+        """
+        if self._attending is not None:
+            self._attending.join(max(until_s - time.monotonic(), 0.0))
+        if self._reader is not None:  # only now: the other thread may have started it
+            self._reader.join(max(until_s - time.monotonic(), 0.0))
 
     def release(self) -> None:
         """Close it, at the end; one that is just being opened is left to the system, which closes it."""
@@ -129,13 +134,20 @@ class AttendedWire:
 
     def _attend(self, cycle_is_alive: Callable[[], bool]) -> None:
         realtime.leave_signals_to_main()
-        while not self._ends.wait(LOOK_EVERY_S):
-            if self._wire is None:
-                self._reopen()
-            elif self._is_gone:
-                self._let_go(self._wire, cycle_is_alive)
-            else:
-                self._count_lost(self._wire)
+        try:
+            while not self._ends.wait(LOOK_EVERY_S):
+                if self._wire is None:
+                    self._reopen()
+                elif self._is_gone:
+                    self._let_go(self._wire, cycle_is_alive)
+                else:
+                    self._count_lost(self._wire)
+        except Exception:
+            self._say(
+                f"The adapter at {self._channel} is not opened again if it goes, because of an exception, which is a "
+                "defect of rtarm: please report what follows, and start rtarm again."
+            )
+            raise
 
     def _count_lost(self, wire: OpenWire) -> None:
         """Pass to the cycle the counts of dropped and unsent bytes, which ordinary Python alone can find out."""
@@ -170,9 +182,9 @@ class AttendedWire:
                 return
 
     def _close(self, wire: OpenWire) -> None:
+        self._wire = None  # first: what fails to close is not closed again
         for complaint in close_wire(self._arm, wire):
             self._say(complaint)
-        self._wire = None
 
     def _say(self, sentence: str) -> None:
         self._tell(of_bus(sentence, self._name))

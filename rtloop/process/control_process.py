@@ -256,10 +256,11 @@ class ControlProcess:
         for wire in self._wires:
             wire.leave()
         self._store(1, "stop")
+        until_s = time.monotonic() + THREAD_PATIENCE_S
         if self._cycle.ident is not None:
             self._cycle.join(THREAD_PATIENCE_S)
         for wire in self._wires:
-            wire.join(THREAD_PATIENCE_S)
+            wire.join(until_s)
 
     def _release(self) -> None:
         for wire in self._wires:

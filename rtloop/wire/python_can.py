@@ -45,8 +45,8 @@ def open_python_can(arm: ArmConfig) -> Bridge:
         raise WireRefused(
             "python-can is not installed, and bus.interface python-can needs it: `pip install python-can`."
         ) from None
-    logging.getLogger("can").addHandler(logging.NullHandler())  # what matters becomes a sentence of rtarm's own
-    logging.getLogger("can").propagate = False
+    log = logging.getLogger("can")
+    log.handlers, log.propagate = [logging.NullHandler()], False  # what matters becomes a sentence of rtarm's own
     cycle = cycle_frames(arm)
     options = all_options(arm)
     _refuse_unknown_options(settings, _bus_class(settings.interface), options)

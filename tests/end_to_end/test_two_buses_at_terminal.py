@@ -35,6 +35,11 @@ def stack(arm_name: str, tmp_path: Path) -> Iterator[DividedStack]:
     made.close()
 
 
+def befall(stack: DividedStack, fault: str) -> None:
+    stack.sims[WRIST].say(fault)
+    stack.sims[WRIST].line_with(f"fault {fault}")
+
+
 def only_this_joint_has_moved(stack: DividedStack) -> bool:
     moved = [name for bus in NAMES for name, told in stack.truth_of(bus).items() if np.ptp(told.position_rad) > 0.0]
     return moved == [JOINT]
@@ -68,12 +73,12 @@ def test_commission_tests_the_drive_on_its_own_bus(stack: DividedStack, tmp_path
         at.read_until("silence: as documented.")
         at.reply("Turn it?", "o")
         at.read_until("retarget: as documented.")
-        stack.sims[WRIST].say(f"stall:joint={JOINT},at_s=0")
+        befall(stack, f"stall:joint={JOINT},at_s=0")
         at.reply("Is it clamped", "y")
         at.read_until("stall: as documented.")
         at.reply("Watch it while you switch it off and on?", "y")
         at.read_until(f"Switch the power of {JOINT}'s drive off now")
-        stack.sims[WRIST].say(f"power-loss:joint={JOINT},at_s=0,off_s=3")
+        befall(stack, f"power-loss:joint={JOINT},at_s=0,off_s=3")
         at.read_until("volatile settings: as documented.")
         assert at.code() == 0
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))

@@ -397,19 +397,32 @@ def test_an_end_amid_the_bring_up_keeps_where_the_joints_stood_before(deaf_arm, 
     assert reference_store.counts_before(arm) == {0: 7}
 
 
+@pytest.fixture
+def bring_up_waits(monkeypatch):
+    """An event that has to be set before drives are brought up."""
+    may_begin, bring_up = threading.Event(), ControlProcess._bring_up
+
+    def bring_up_then(*arguments, **options):
+        assert may_begin.wait(PATIENCE_S)
+        return bring_up(*arguments, **options)
+
+    monkeypatch.setattr(ControlProcess, "_bring_up", bring_up_then)
+    return may_begin
+
+
 def test_an_adapter_whose_opening_does_not_end_holds_up_neither_conversations_nor_the_end(
-    arm_name, tmp_path, unlocked, monkeypatch
+    arm_name, tmp_path, unlocked, monkeypatch, bring_up_waits
 ):
     """The library of an adapter that is plugged in again may wait for it for ever."""
     master, slave = pty.openpty()
     channel = os.ttyname(slave)
     os.close(slave)
     arm = load_arm(write_arm("episode1", arm_name, tmp_path), overrides={"bus": {"channel": channel}})
-    told, codes, opens, opened = [], [], threading.Event(), threading.Event()
+    told, codes, opened = [], [], threading.Event()
     process = ControlProcess(arm, compiled.load(), told.append, StopAsked([]))
 
     def open_wire(_):
-        opens.set()
+        bring_up_waits.set()
         opened.wait()
         raise WireRefused("It has been opened too late.")
 
@@ -419,14 +432,30 @@ def test_an_adapter_whose_opening_does_not_end_holds_up_neither_conversations_no
     serving.start()
     os.close(master)
     try:
-        assert opens.wait(PATIENCE_S)
-        serving.join(PATIENCE_S)  # the bring-up of drives that are silent has failed meanwhile, and ends the process
+        serving.join(PATIENCE_S)  # until the bring-up of drives that are silent has failed
         assert codes == [2], told
     finally:
         opened.set()
     until(lambda: "It has been opened too late." in told, "the end of the opening")
     with pytest.raises(NotRunning):
         open_state(arm.name)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_whoever_attends_to_an_adapter_does_not_end_silently(deaf_arm, monkeypatch, bring_up_waits):
+    told = []
+
+    def tell(sentence):
+        told.append(sentence)
+        bring_up_waits.set()
+
+    def lost_bytes(*_):
+        raise OSError("spoilt")
+
+    monkeypatch.setattr(attended_wire, "lost_bytes", lost_bytes)
+    assert ControlProcess(deaf_arm, compiled.load(), tell, StopAsked([])).serve(lambda: None) == 2
+    channel = deaf_arm.bus.resolved_channel
+    assert any(f"The adapter at {channel} is not opened again if it goes" in sentence for sentence in told)
 
 
 @pytest.mark.process
