@@ -331,6 +331,7 @@ for limited in (False, True):
 @pytest.fixture
 def deaf_arm(arm_name, tmp_path, unlocked):
     """An arm of a name of its own at a terminal where nobody answers."""
+    make_object()
     master, slave = pty.openpty()
     yield load_arm(write_arm("episode1", arm_name, tmp_path), overrides={"bus": {"channel": os.ttyname(slave)}})
     os.close(master)
@@ -414,6 +415,7 @@ def test_an_adapter_whose_opening_does_not_end_holds_up_neither_conversations_no
     arm_name, tmp_path, unlocked, monkeypatch, bring_up_waits
 ):
     """The library of an adapter that is plugged in again may wait for it for ever."""
+    make_object()
     master, slave = pty.openpty()
     channel = os.ttyname(slave)
     os.close(slave)
