@@ -30,9 +30,9 @@ def stack(arm_name: str, tmp_path: Path) -> Iterator[DividedStack]:
     made = DividedStack(arm_name, tmp_path, [0.0] * 6)
     drives = {joint.name: joint.drive for part in made.parts.values() for joint in part.joints}
     assert drives[JOINT].number == drives[TWIN].number
-    made.start_sims()
-    yield made
-    made.close()
+    with closing(made):
+        made.start_sims()
+        yield made
 
 
 def befall(stack: DividedStack, fault: str) -> None:
