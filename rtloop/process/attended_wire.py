@@ -1,6 +1,5 @@
 """The wire of one bus while the control process runs: opened, given to its threads, let go, opened again."""
 
-import functools
 import threading
 import time
 from collections.abc import Callable
@@ -104,8 +103,7 @@ class AttendedWire:
         is there and does not open keeps whoever tries for 0.35 s (SLCAN), or as long as its library likes (python-can).
         """
         if self._wire is not None:
-            attend = functools.partial(self._attend, cycle_is_alive)
-            attending = threading.Thread(target=attend, name="adapter", daemon=True)
+            attending = threading.Thread(target=self._attend, args=(cycle_is_alive,), name="adapter", daemon=True)
             attending.start()
             self._attending = attending
 
